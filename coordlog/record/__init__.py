@@ -1,0 +1,1 @@
+"""Episodes to files and back: the only room that knows MCAP."""

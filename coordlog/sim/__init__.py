@@ -1,0 +1,1 @@
+"""Robots, scenes and physics: the only room that knows MuJoCo."""

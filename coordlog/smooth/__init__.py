@@ -1,0 +1,1 @@
+"""Joint trajectories made smooth, and proven no less safe than they were."""

@@ -1,0 +1,149 @@
+"""The one table of what an episode file contains: messages, fields, types, units.
+
+The codec, the `.msg` schemas, the Arrow columns and the documentation are all derived from `MESSAGES`.
+A sequence field names its length with a symbol; a `Layout` gives the symbols numbers for one robot and task.
+
+    n_q, n_v   MuJoCo's nq and nv of the whole model
+    n_x        policy state          n_u   action          k   arms (= tasks)
+    n_j        joints of the smoothed path (= n_u)         c   contacts in one step (ragged)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+SCHEMA_VERSION = 1
+"""Raised whenever a message changes; a reader refuses versions it does not know."""
+
+
+class Field(NamedTuple):
+    """One field of a message.
+
+    `type` is a ROS 2 primitive name; `size` is "" for a scalar or the symbol of a sequence's length.
+    """
+
+    name: str
+    type: str
+    size: str
+    unit: str
+    doc: str
+
+
+class Message(NamedTuple):
+    """One message type: its ROS 2 name, the topic it is published on, and its fields in wire order."""
+
+    name: str
+    topic: str
+    doc: str
+    fields: tuple[Field, ...]
+
+
+STEP = Message(
+    "coordlog_msgs/msg/Step",
+    "/coordlog/step",
+    "One control step: the state before the action, the action executed, and what it led to. Authoritative.",
+    (
+        Field("step", "int64", "", "", "control step, from 0"),
+        Field("time", "float64", "", "s", "simulated time before the action, since the start of the episode"),
+        Field("qpos", "float64", "n_q", "m, rad", "MuJoCo qpos before the action"),
+        Field("qvel", "float64", "n_v", "m/s, rad/s", "MuJoCo qvel before the action"),
+        Field("state", "float32", "n_x", "", "policy state before the action, scaled to about [-1, 1]"),
+        Field("action", "float32", "n_u", "", "action that was executed, in [-1, 1]"),
+        Field("reward", "float64", "k", "", "reward of each arm for this action"),
+        Field("distance", "float64", "k", "m", "palm to goal of each arm after the action"),
+        Field("boundary", "bool", "k", "", "palm within the goal boundary after the action"),
+        Field("goal", "bool", "k", "", "palm within the goal radius after the action"),
+        Field("collision", "bool", "", "", "any contact other than sole on floor, at any physics substep"),
+        Field("instability", "bool", "", "", "centre of mass left the support polygon, or the torso tipped"),
+        Field("terminated", "bool", "", "", "the task ended here: instability, or every goal reached"),
+        Field("truncated", "bool", "", "", "cut off from outside here: step limit; bootstrap through it"),
+    ),
+)
+
+FINAL = Message(
+    "coordlog_msgs/msg/Final",
+    "/coordlog/final",
+    "The state after the last action: N steps and one final state, never an action without its outcome.",
+    STEP.fields[:5],
+)
+
+CONTACTS = Message(
+    "coordlog_msgs/msg/Contacts",
+    "/coordlog/contacts",
+    "Contacts other than sole on floor during one control step: per geom pair the deepest over the substeps.",
+    (
+        Field("step", "int64", "", "", "control step during which they happened"),
+        Field("substep", "int32", "c", "", "physics substep of the control step, from 0"),
+        Field("geom1", "int32", "c", "", "MuJoCo geom id; names in the metadata `coordlog.env`"),
+        Field("geom2", "int32", "c", "", "MuJoCo geom id; geom1 < geom2"),
+        Field("depth", "float64", "c", "m", "penetration, ≥ 0"),
+        Field("x", "float64", "c", "m", "contact position, world frame"),
+        Field("y", "float64", "c", "m", "contact position, world frame"),
+        Field("z", "float64", "c", "m", "contact position, world frame"),
+    ),
+)
+
+ARM = Message(
+    "coordlog_msgs/msg/Arm",
+    "/coordlog/arm/",
+    "One arm's share of a step as named scalars, for viewers; the topic ends in the arm's name.",
+    (
+        Field("reward", "float64", "", "", "as in Step"),
+        Field("distance", "float64", "", "m", "as in Step"),
+        Field("boundary", "bool", "", "", "as in Step"),
+        Field("goal", "bool", "", "", "as in Step"),
+    ),
+)
+
+KNOT = Message(
+    "coordlog_msgs/msg/Knot",
+    "/coordlog/knots",
+    "One joint-space sample that a smoothed path was fitted to.",
+    (
+        Field("time", "float64", "", "s", "since the start of the episode"),
+        Field("position", "float64", "n_j", "rad", "joint angles, order of the action joints"),
+        Field("weight", "float64", "", "", "fidelity weight of the sample; infinite at an exact end point"),
+    ),
+)
+
+SPLINE = Message(
+    "coordlog_msgs/msg/Spline",
+    "/coordlog/spline",
+    "One break point of a smoothed path; between two of them the path is the cubic Hermite polynomial.",
+    (
+        Field("time", "float64", "", "s", "since the start of the episode"),
+        Field("position", "float64", "n_j", "rad", "spline value"),
+        Field("velocity", "float64", "n_j", "rad/s", "spline derivative"),
+    ),
+)
+
+MESSAGES = (STEP, FINAL, CONTACTS, ARM, KNOT, SPLINE)
+
+JOINT_STATE_NAME = "sensor_msgs/msg/JointState"
+JOINT_STATE_TOPIC = "/joint_states"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The lengths that turn the table into shapes, for one robot and task."""
+
+    n_q: int
+    n_v: int
+    n_x: int
+    n_u: int
+    k: int
+
+    @property
+    def n_j(self) -> int:
+        """Joints of a smoothed path: the action's."""
+        return self.n_u
+
+    def width(self, field: Field) -> int | None:
+        """Length of a sequence field; None for a scalar."""
+        return None if field.size == "" else int(getattr(self, field.size))
+
+    def shape(self, field: Field, n: int) -> tuple[int, ...]:
+        """Shape of n values of a field, as an array with the step axis first."""
+        width = self.width(field)
+        return (n,) if width is None else (n, width)

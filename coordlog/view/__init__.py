@@ -1,0 +1,1 @@
+"""Episodes to pictures: the only room that knows rerun."""
