@@ -1,0 +1,143 @@
+"""N live episodes of one scene: problems from seeds in, flags and rewards out."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+import coordlog
+from coordlog.episode import Array, Json
+from coordlog.errors import unknown
+from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.sim.draw import Draw, Problem
+from coordlog.sim.physics import STATE, Physics, compile_model
+from coordlog.sim.robot import Robot
+from coordlog.sim.scene import Scene, compose
+from coordlog.sim.simulation import Outcome, Simulation
+from coordlog.sim.task import Task
+
+SETTLE_SECONDS = 4.0
+"""The start pose is simulated this long, so that an episode starts at rest."""
+
+
+class BatchEnv:
+    """N simulations of one scene on one thread pool.
+
+    The same seed, split and index is the same problem and, action for action, the same episode, bit for bit, whatever N and the number
+    of threads are.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: EnvConfig | None = None,
+        reward: RewardConfig | None = None,
+        *,
+        n: int = 1,
+        threads: int = 0,
+        start: str = "stand",
+    ) -> None:
+        """Args:
+        scene: What to simulate.
+        config: Control, endings, balance and state.
+        reward: Constants of the reward.
+        n: Number of simulations.
+        threads: Threads to step on; 0 for all cores.
+        start: Name of the robot's start pose.
+        """
+        config, reward = config or EnvConfig(), reward or RewardConfig()
+        if start not in scene.robot.poses:
+            raise unknown("start pose", start, scene.robot.poses)
+        self.scene, self.start, self.n = scene, start, n
+        self.text = compose(scene, config)
+        model = compile_model(self.text)
+        self.task = Task(scene.robot, model, config, reward)
+        self.physics = Physics(model, n=n, threads=threads)
+        self.simulation = Simulation(self.task, self.physics, n=n)
+        self._rest = settled(scene.robot, model, start)
+        standing = self._rest[1 : 1 + model.nq]
+        self.draw = Draw(scene, model, config, standing=standing)
+        self._object = int(model.body("object").mocapid[0]) if scene.object_half is not None else None
+
+    @property
+    def state(self) -> Array:
+        """Present policy state of every simulation, (N, n_x) float32."""
+        return self.simulation.state
+
+    def problem(self, *, seed: int, split: str, index: int) -> Problem:
+        """The problem of one episode (sim/draw.py)."""
+        return self.draw.problem(seed=seed, split=split, index=index)
+
+    def reset(self, ids: Array, problems: Sequence[Problem]) -> None:
+        """Start an episode in each of the simulations `ids`."""
+        physics, task = self.physics, self.task
+        physics.rows[ids] = self._rest
+        for sim, problem in zip(ids, problems, strict=True):
+            physics.qpos[sim, task.qpos_index] = problem.angles
+            physics.ctrl[sim, task.servos] = problem.angles
+            physics.mocap_pos[sim, task.goal_mocaps] = problem.goals
+            if self._object is not None:
+                physics.mocap_pos[sim, self._object] = problem.centre
+            if task.n_spheres:
+                physics.mocap_pos[sim, task.sphere_mocaps] = problem.spheres[:, :3]
+        radii = np.array([problem.spheres[:, 3] for problem in problems])
+        if task.n_spheres:
+            physics.resize(ids, task.sphere_geoms, radii)
+        self.simulation.begin(ids, radii)
+
+    def step(self, action: Array, ids: Array) -> Outcome:
+        """Advance simulations `ids` by one control period; actions (len(ids), n_u) float32 in [-1, 1]."""
+        return self.simulation.step(action, ids)
+
+    def model_text(self, sim: int) -> str:
+        """MJCF of one simulation, its own spheres included: compiling it gives the model it runs on."""
+        radii = tuple(float(radius) for radius in self.simulation.radii[sim])
+        return compose(self.scene, self.task.config, radii) if radii else self.text
+
+    def describe(self) -> Json:
+        """The `coordlog.env` record of every episode of this environment (`episode.Header.env`)."""
+        model, robot = self.task.model, self.scene.robot
+        return {
+            "coordlog_version": coordlog.__version__,
+            "mujoco_version": mujoco.__version__,
+            "architecture": platform.machine(),
+            "robot": robot.to_json(),
+            "config": to_mapping(self.task.config),
+            "reward": to_mapping(self.task.reward),
+            "joints": hinges(model),
+            "actuators": [model.actuator(i).name for i in range(model.nu)],
+            "geoms": [model.geom(i).name for i in range(model.ngeom)],
+            "arms": robot.served,
+            "action_joints": list(robot.action_joints),
+            "layout": {"n_q": model.nq, "n_v": model.nv, "n_x": len(self.task.view), "n_u": len(self.task.servos), "k": len(robot.arms)},
+            **self.task.view.to_json(),
+        }
+
+
+def hinges(model: mujoco.MjModel) -> list[Json]:
+    """Name and addresses of every joint of one degree of freedom, in model order."""
+    joints = (model.joint(i) for i in range(model.njnt))
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return [{"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])} for joint in joints if joint.type[0] in kinds]
+
+
+def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
+    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and simulated until it stands still."""
+    data = mujoco.MjData(model)
+    for name, angle in robot.poses[pose].items():
+        data.qpos[model.joint(name).qposadr[0]] = angle
+    for i in range(model.nu):
+        data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
+    mujoco.mj_kinematics(model, data)
+    if robot.soles:
+        lowest = min(data.site_xpos[i, 2] for i in range(model.nsite) if "_corner_" in model.site(i).name)
+        data.qpos[2] -= lowest
+    for _ in range(round(SETTLE_SECONDS / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    data.time = 0.0
+    row = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, row, STATE)
+    return row

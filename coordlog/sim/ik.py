@@ -1,0 +1,131 @@
+"""All palms to their goals at once: damped least squares over every action joint, the base standing still.
+
+Used to verify that a drawn problem can be solved and by the scripted expert; no learner sees it.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+
+import mujoco
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.sim.balance import support_margin
+from coordlog.sim.robot import Robot
+from coordlog.sim.scene import goal_body, sole_corner, sphere_geom
+
+ITERATIONS = 60
+DAMPING = 0.03
+TOLERANCE = 0.002
+STEP = 0.25
+"""Largest joint change of one iteration [rad]."""
+POSTURE = 0.05
+"""Share of the way back to the seed posture that each iteration makes in the null space."""
+SHARED_EFFORT = 2.0
+"""Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
+
+
+class Reach:
+    """The kinematics of one robot in one scene: palms, legality and inverse kinematics at given joint angles."""
+
+    def __init__(self, robot: Robot, model: mujoco.MjModel, *, margin: float, standing: Array) -> None:
+        """Args:
+        robot: Names.
+        model: The scene's model; copied, so spheres can be placed.
+        margin: The centre of mass stays this far inside the feet [m].
+        standing: qpos at rest in the start pose, shape (n_q,).
+        """
+        self._model, self._margin, self._soles = copy(model), margin, robot.soles
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = standing
+        joints = [model.joint(name) for name in robot.action_joints]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        self._sites = [model.site(arm.palm).id for arm in robot.arms]
+        self._corners = [model.site(sole_corner(sole, i)).id for sole in robot.soles for i in range(4)]
+        self._sole_geoms = {model.geom(sole).id for sole in robot.soles}
+        self._base = model.body(robot.torso).rootid[0] if robot.soles else 0
+        self.limits: Array = np.array([joint.range for joint in joints])
+        self.standing_angles: Array = standing[self._qpos].copy()
+        self._effort = np.array([SHARED_EFFORT if name in robot.shared else 1.0 for name in robot.action_joints])
+        self._seeds = [self.angles_of(robot, pose) for pose in robot.poses if pose != "neutral"][::-1]
+        self._jacobian = np.zeros((3, self._model.nv))
+        self._markers = [model.body(goal_body(arm.name)).mocapid[0] for arm in robot.arms]
+
+    @staticmethod
+    def angles_of(robot: Robot, pose: str) -> Array:
+        """Action joint angles of a named pose, (n_u,) [rad]."""
+        return np.array([robot.poses[pose].get(name, 0.0) for name in robot.action_joints])
+
+    def place(self, spheres: Array) -> None:
+        """Put the sphere obstacles where a problem has them, rows of x, y, z, radius."""
+        for i, (x, y, z, radius) in enumerate(spheres):
+            self._model.geom(sphere_geom(i)).size[0] = radius
+            self._data.mocap_pos[self._model.body(sphere_geom(i)).mocapid[0]] = x, y, z
+        if len(spheres):
+            mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+    def palms(self, angles: Array) -> Array:
+        """Palm positions at joint angles (n_u,), (k, 3) [m]."""
+        self._data.qpos[self._qpos] = angles
+        mujoco.mj_kinematics(self._model, self._data)
+        return np.asarray(self._data.site_xpos[self._sites].copy())
+
+    def legal(self, angles: Array) -> bool:
+        """No contact other than sole on floor, and the centre of mass over the feet."""
+        self.palms(angles)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+        for first, second in self._data.contact.geom:
+            if not ({int(first), int(second)} & self._sole_geoms):
+                return False
+        if not self._soles:
+            return True
+        corners = self._data.site_xpos[self._corners].copy()
+        corners[:, 2] -= corners[:, 2].min()  # the base stands still: the soles are on the floor
+        return bool(support_margin(self._data.subtree_com[self._base, :2], corners) > self._margin)
+
+    def clearance(self, angles: Array, *, among: Array) -> float:
+        """Distance between the robot at joint angles and the nearest sphere obstacle [m]; infinite without spheres."""
+        self.palms(angles)
+        spheres = [self._model.geom(sphere_geom(i)).id for i in range(len(among))]
+        limbs = [i for i in range(self._model.ngeom) if self._model.geom_bodyid[i] and self._model.body_mocapid[self._model.geom_bodyid[i]] < 0]
+        pairs = ((sphere, limb) for sphere in spheres for limb in limbs)
+        return min((mujoco.mj_geomDistance(self._model, self._data, a, b, 1.0, None) for a, b in pairs), default=np.inf)
+
+    def solve(self, goals: Array, *, seed: Array | None = None) -> Array | None:
+        """Legal joint angles with every palm on its goal, or None.
+
+        Args:
+            goals: Goal of each palm, shape (k, 3) [m].
+            seed: Angles to start from and stay near, shape (n_u,); without it the robot's named poses, one after another.
+        """
+        for start in self._seeds if seed is None else [seed]:
+            angles = self._descend(goals, start)
+            if angles is not None and self.legal(angles):
+                return angles
+        return None
+
+    def _descend(self, goals: Array, seed: Array) -> Array | None:
+        angles = np.clip(seed, self.limits[:, 0], self.limits[:, 1])
+        identity = DAMPING**2 * np.eye(goals.size)
+        for _ in range(ITERATIONS):
+            gap = (goals - self.palms(angles)).ravel()
+            if np.abs(gap).max() < TOLERANCE:
+                return angles
+            J = self._palm_jacobian() / self._effort  # (3k, n_u), in joint coordinates weighted by effort
+            inverse = np.linalg.solve(J @ J.T + identity, np.column_stack([gap, J]))
+            posture = POSTURE * (seed - angles) * self._effort
+            step = (J.T @ inverse[:, 0] + posture - J.T @ (inverse[:, 1:] @ posture)) / self._effort
+            step *= min(1.0, STEP / max(np.abs(step).max(), 1e-12))
+            angles = np.clip(angles + step, self.limits[:, 0], self.limits[:, 1])
+        return None
+
+    def _palm_jacobian(self) -> Array:
+        mujoco.mj_comPos(self._model, self._data)
+        rows = []
+        for site in self._sites:
+            mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
+            rows.append(self._jacobian[:, self._dofs])
+        return np.concatenate(rows)
