@@ -1,0 +1,103 @@
+"""Header and Result ↔ the string maps of MCAP metadata records.
+
+A string stands as it is, everything else as compact JSON; a string that would read as JSON is quoted, so that decoding
+is exact. Floats keep every bit (shortest repr); dicts keep their order, which for `env["arms"]` is the order of columns.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from typing import Any
+
+from coordlog.episode import Header, Json, Result
+from coordlog.errors import FormatError, SpecError
+from coordlog.spec import SCHEMA_VERSION, Layout
+
+PREFIX = "coordlog."
+EPISODE = PREFIX + "episode"
+RESULT = PREFIX + "result"
+HEADER_RECORDS = tuple(PREFIX + item.name for item in fields(Header))
+"""Names of the metadata records that open a file, in order."""
+
+_RESULT_TYPES: dict[str, type] = {item.name: {"int": int, "bool": bool, "str": str}.get(str(item.type), list) for item in fields(Result)}
+
+Strings = Mapping[str, str]
+
+
+def encode(values: Json) -> dict[str, str]:
+    """A JSON-able dict as a string map.
+
+    Raises:
+        SpecError: if a value cannot be written as JSON; names the key.
+    """
+    return {key: _encode_value(key, value) for key, value in values.items()}
+
+
+def decode(strings: Strings) -> Json:
+    """The inverse of `encode`."""
+    return {key: _decode_value(text) for key, text in strings.items()}
+
+
+def _encode_value(key: str, value: Any) -> str:
+    if isinstance(value, str) and _decode_value(value) is value:
+        return value
+    try:
+        return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+    except (TypeError, ValueError) as error:
+        raise SpecError(f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: {error}") from None
+
+
+def _decode_value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def encode_header(header: Header) -> dict[str, dict[str, str]]:
+    """One string map per metadata record that opens a file."""
+    return {PREFIX + item.name: encode(getattr(header, item.name)) for item in fields(Header)}
+
+
+def decode_header(records: Mapping[str, Strings]) -> Header:
+    """The header out of a file's metadata records.
+
+    Raises:
+        FormatError: if a record or a key that reading depends on is missing, or the schema version is another one.
+    """
+    version = records.get(EPISODE, {}).get("schema_version")
+    if version is not None and version != str(SCHEMA_VERSION):
+        raise FormatError(f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it")
+    missing = [name for name in HEADER_RECORDS if name not in records]
+    if missing or version is None:
+        raise FormatError(f"metadata {', '.join(missing) or EPISODE + ' schema_version'} missing: not a coordlog episode")
+    header = Header(*(decode(records[name]) for name in HEADER_RECORDS))
+    _require(header.episode, {"start_time": int}, EPISODE)
+    _require(header.env, {"layout": dict, "arms": dict, "joints": list}, PREFIX + "env")
+    _require(header.env["layout"], {item.name: int for item in fields(Layout)}, PREFIX + "env layout")
+    return header
+
+
+def encode_result(result: Result) -> dict[str, str]:
+    """The string map of the commit marker."""
+    return encode(asdict(result))
+
+
+def decode_result(strings: Strings) -> Result:
+    """The inverse of `encode_result`.
+
+    Raises:
+        FormatError: if a key is missing or holds a value of another type.
+    """
+    values = decode(strings)
+    _require(values, _RESULT_TYPES, RESULT)
+    values["returns"] = tuple(values["returns"])
+    return Result(**{name: values[name] for name in _RESULT_TYPES})
+
+
+def _require(values: Json, kinds: Mapping[str, type], where: str) -> None:
+    for key, kind in kinds.items():
+        if type(values.get(key)) is not kind:
+            raise FormatError(f"metadata {where}: '{key}': expected {kind.__name__}, got {values.get(key)!r}")

@@ -1,0 +1,297 @@
+"""Episode files back to memory.
+
+`read_episode` takes the file in one read, walks its records, expands and splits the chunks, and decodes each topic with
+one `np.frombuffer`; every chunk's CRC is verified. `read_header`, `read_result` and `read_summary` touch only the two ends.
+A file that is not a finished coordlog episode is refused in one sentence that says what it is instead.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from coordlog.episode import Array, Episode, Header, Path, Result
+from coordlog.errors import FormatError, TruncatedError
+from coordlog.record.chunk import expand, split
+from coordlog.record.container import FOOTER, MAGIC, TAIL_SIZE, Span, unpack_attachment, unpack_definitions, unpack_metadata, walk
+from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
+from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result
+from coordlog.record.storage import translated
+from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
+
+File = str | os.PathLike[str]
+
+_HEAD = 1 << 16  # enough for the opening metadata of any robot we know; more is read where it is not
+
+
+class Summary(NamedTuple):
+    """What the two ends of a file say, without its messages."""
+
+    header: Header
+    result: Result
+    size: int
+    """bytes"""
+
+
+@dataclass
+class Contents:
+    """The records of one file, expanded but not decoded; messages by topic."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[memoryview] = field(default_factory=list)
+    messages: dict[str, list[memoryview]] = field(default_factory=dict)
+
+    def add_chunk(self, data: bytes, topics: dict[int, str]) -> None:
+        """Add the messages of an expanded chunk; `topics` learns the channels that it defines."""
+        definitions, messages = split(data)
+        topics |= {channel.id: channel.topic for channel in unpack_definitions(definitions)[1]}
+        for channel, records in messages.items():
+            if channel not in topics:
+                raise FormatError(f"chunk: messages of an undefined channel {channel}")
+            self.messages.setdefault(topics[channel], []).extend(records)
+
+
+def read_header(path: File) -> Header:
+    """The metadata an episode started with; of a part file too.
+
+    Raises:
+        FormatError: if the file is not a coordlog episode of a version this release reads.
+    """
+    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+        return _header(fd)
+
+
+def read_result(path: File) -> Result:
+    """How a finished episode ended.
+
+    Raises:
+        TruncatedError: if there is no commit marker.
+        FormatError: if the file is not a coordlog episode of a version this release reads.
+    """
+    return read_summary(path).result
+
+
+def read_summary(path: File) -> Summary:
+    """Header, result and size of a finished episode, from a few small reads at both ends of the file.
+
+    Raises:
+        TruncatedError: if there is no commit marker.
+        FormatError: if the file is not a coordlog episode of a version this release reads.
+    """
+    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+        header, size = _header(fd), os.fstat(fd).st_size
+        start = summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
+        summary = memoryview(os.pread(fd, size - start, start))
+        verify_summary(summary)
+        for span in walk(summary, 0):
+            offset, length = _metadata_index(summary[span.start : span.end], RESULT) if span.opcode == Opcode.METADATA_INDEX else (0, 0)
+            if length:
+                content = memoryview(os.pread(fd, length, offset))[9:]
+                return Summary(header, decode_result(unpack_metadata(content)[1]), size)
+        raise TruncatedError(_no_marker(size))
+
+
+def read_episode(path: File, *, verify: bool = True) -> Episode:
+    """A finished episode.
+
+    Args:
+        path: The file.
+        verify: Refuse a chunk whose CRC differs; False decodes it all the same, to find out what is damaged.
+
+    Raises:
+        TruncatedError: if there is no commit marker.
+        FormatError: if the file is foreign, damaged, or of a version this release does not read.
+    """
+    with naming(path):
+        return decode(contents(load(path), verify=verify))
+
+
+def read_attachments(path: File) -> dict[str, bytes]:
+    """The attachments of an episode, finished or not, by name; CRCs verified.
+
+    Raises:
+        FormatError: if the file is not a coordlog episode, or an attachment is damaged.
+    """
+    with naming(path):
+        data = memoryview(load(path))
+        found = [unpack_attachment(data[span.start : span.end]) for span in walk(data) if span.opcode == Opcode.ATTACHMENT]
+    return dict(found)
+
+
+def load(path: File) -> bytes:
+    """All bytes of a coordlog file, finished or not.
+
+    Raises:
+        FormatError: if it is a folder, empty, not MCAP, or another program's MCAP.
+    """
+    with translated(FilePath(path), "read"), _open(path) as fd:
+        size = os.fstat(fd).st_size
+        data = os.pread(fd, size, 0)
+        while len(data) < size and (more := os.pread(fd, size - len(data), len(data))):
+            data += more
+    require_coordlog(data)
+    return data
+
+
+def contents(data: bytes, *, verify: bool = True) -> Contents:
+    """The records of a finished file.
+
+    Raises:
+        TruncatedError: if there is no commit marker.
+        FormatError: if a record is damaged.
+    """
+    view, found, topics, at = memoryview(data), Contents(), dict[int, str](), len(MAGIC)
+    stop = summary_start(view[-TAIL_SIZE:], len(data))
+    for span in walk(view, stop=stop):
+        content, at = view[span.start : span.end], span.end
+        if span.opcode == Opcode.CHUNK:
+            found.add_chunk(expand(content, verify=verify), topics)
+        elif span.opcode == Opcode.METADATA:
+            name, values = unpack_metadata(content)
+            found.metadata[name] = values
+        elif span.opcode == Opcode.ATTACHMENT:
+            found.attachments.append(content)
+    if at != stop:
+        raise FormatError(f"the record at byte {at} is damaged; `coordlog recover` keeps what comes before it")
+    return found
+
+
+def decode(found: Contents) -> Episode:
+    """The episode out of a file's records.
+
+    Raises:
+        FormatError: if messages are missing, of another size, or not in order.
+    """
+    if RESULT not in found.metadata:
+        raise TruncatedError("ends without its commit marker; recover what is complete with `coordlog recover`")
+    header, result = decode_header(found.metadata), decode_result(found.metadata[RESULT])
+    layout, messages = header.layout, found.messages
+    steps = decode_steps(messages.get(STEP.topic, []), layout)
+    final = decode_final(messages.get(FINAL.topic, []), layout)
+    require_order(steps["step"], final["step"], np.array([result.length]))
+    both = {item.name: np.concatenate([steps.pop(item.name), final[item.name]]) for item in FINAL.fields}
+    columns: dict[str, Array] = {**steps, **both}
+    del columns["step"]
+    path: Path | None = None
+    if KNOT.topic in messages and SPLINE.topic in messages:
+        path = decode_path(messages[KNOT.topic], messages[SPLINE.topic], layout)
+    contacts = decode_contacts(messages.get(CONTACTS.topic, []), layout)
+    return Episode(header=header, result=result, contacts=contacts, path=path, **columns)
+
+
+def require_order(steps: Array, finals: Array, lengths: Array) -> None:
+    """Hold the step numbers of one or more episodes to 0, 1, … and their final states to the lengths.
+
+    Raises:
+        FormatError: naming the first step that is not the next one.
+    """
+    total = int(lengths.sum())
+    if len(finals) != len(lengths) or (finals != lengths).any() or len(steps) != total:
+        raise FormatError(f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and final states {finals.tolist()}")
+    wanted = np.arange(total) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    if (steps != wanted).any():
+        row = int(np.flatnonzero(steps != wanted)[0])
+        raise FormatError(f"step: expected {wanted[row]}, got {steps[row]}")
+
+
+def require_coordlog(data: bytes | memoryview) -> None:
+    """Look at the first record of a file.
+
+    Raises:
+        FormatError: if it is empty, not MCAP, or another program's MCAP.
+        TruncatedError: if it ends within its first record.
+    """
+    if not data:
+        raise FormatError("the file is empty (0 bytes): not an episode")
+    if len(data) < len(MAGIC) and MAGIC.startswith(data):
+        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
+    if data[: len(MAGIC)] != MAGIC:
+        raise FormatError("not an MCAP file; expected an episode written by coordlog")
+    span = next(walk(data), Span(0, 0, 0))
+    if span.opcode == 0:
+        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
+    content = bytes(data[span.start : span.end])
+    if span.opcode != Opcode.HEADER or b"coordlog/" not in content:
+        text = content.decode("ascii", "replace").strip("\0")
+        printable = "".join(letter if letter.isprintable() else " " for letter in text).strip()
+        raise FormatError(f"an MCAP file, but not a coordlog episode: its header says '{printable}'")
+
+
+def summary_start(tail: bytes | memoryview, size: int) -> int:
+    """Where the data section ends and the summary starts, from the last TAIL_SIZE bytes of a file.
+
+    Raises:
+        TruncatedError: if the file does not end as a finished one.
+    """
+    if len(tail) == TAIL_SIZE and tail[FOOTER.size :] == MAGIC:
+        opcode, length, start, _, _ = FOOTER.unpack_from(tail)
+        if opcode == Opcode.FOOTER and length == FOOTER.size - 9 and len(MAGIC) <= start <= size - TAIL_SIZE:
+            return int(start)
+    raise TruncatedError(_no_marker(size))
+
+
+def verify_summary(summary: memoryview) -> None:
+    """Check the CRC of a summary section, given up to the end of the file.
+
+    Raises:
+        FormatError: if it differs.
+    """
+    crc = FOOTER.unpack_from(summary, len(summary) - TAIL_SIZE)[-1]
+    got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
+    if crc != got:
+        raise FormatError(f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog recover` rewrites the file")
+
+
+@contextmanager
+def naming(path: File) -> Iterator[None]:
+    """Put the file's name in front of what is wrong with it."""
+    try:
+        yield
+    except FormatError as error:
+        raise type(error)(f"{os.fspath(path)}: {error}") from None
+
+
+@contextmanager
+def _open(path: File) -> Iterator[int]:
+    if os.path.isdir(path):
+        raise FormatError("a folder, not an episode file; coordlog.open reads folders")
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        yield fd
+    finally:
+        os.close(fd)
+
+
+def _header(fd: int) -> Header:
+    for size in (_HEAD, os.fstat(fd).st_size):
+        data = memoryview(os.pread(fd, size, 0))
+        require_coordlog(data)
+        records: dict[str, dict[str, str]] = {}
+        for span in walk(data):
+            if span.opcode == Opcode.METADATA:
+                name, values = unpack_metadata(data[span.start : span.end])
+                records[name] = values
+            elif records:
+                return decode_header(records)
+        if set(HEADER_RECORDS) <= set(records):
+            return decode_header(records)
+    raise TruncatedError("ends within its opening metadata: nothing to recover")
+
+
+def _metadata_index(content: memoryview, name: str) -> tuple[int, int]:
+    """Offset and length of a metadata record if this index entry is of that name, else zeros."""
+    if bytes(content[20:]) != name.encode():
+        return 0, 0
+    return int.from_bytes(content[:8], "little"), int.from_bytes(content[8:16], "little")
+
+
+def _no_marker(size: int) -> str:
+    return f"ends after {size} bytes without its commit marker; recover what is complete with `coordlog recover`"

@@ -1,0 +1,112 @@
+"""A file that appears under its name only when it is complete.
+
+`PartFile` is appended to as NAME.part, then made durable and published as NAME. A name that is taken is never taken over,
+whoever else writes into the folder at the same time. Whatever the file system refuses becomes one StorageError.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from coordlog.errors import StorageError
+
+PART = ".part"
+
+_NO_HARD_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+
+
+@contextmanager
+def translated(path: Path, doing: str, advice: str = "") -> Iterator[None]:
+    """Turn an OSError into a StorageError: what could not be done to which file, why, and what to do."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(f"{path}: cannot {doing}: {reason}" + (f"; {advice}" if advice else "")) from error
+
+
+class PartFile:
+    """One file being written; closed, published or discarded exactly once."""
+
+    def __init__(self, path: Path) -> None:
+        """Create NAME.part.
+
+        Raises:
+            StorageError: if NAME or NAME.part exists, or the folder cannot be written to.
+        """
+        self.path, self.part = path, path.with_name(path.name + PART)
+        self._refuse_existing(path)
+        self._refuse_existing(self.part)
+        with translated(self.part, "create the file", "does the folder exist and allow writing?"):
+            self._fd = os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+
+    @staticmethod
+    def _refuse_existing(path: Path) -> None:
+        if os.path.lexists(path):
+            raise StorageError(f"{path}: the file exists and is not overwritten; choose another name or move it away")
+
+    def append(self, data: bytes) -> None:
+        """Hand all bytes to the operating system: they survive a crash of this process.
+
+        Raises:
+            StorageError: if the file system refuses; what came before stays in NAME.part.
+        """
+        with self._kept("write"):
+            view = memoryview(data)
+            while view:
+                view = view[os.write(self._fd, view) :]
+
+    def publish(self) -> None:
+        """Make the content durable, then give the file its name; an existing file is left alone.
+
+        The name is made with a hard link, which cannot replace anything. Where there are no hard links an empty file
+        reserves the name first, and a crash at that very moment leaves it empty beside the intact part.
+
+        Raises:
+            StorageError: if the name is taken by now, or the file system refuses; NAME.part stays.
+        """
+        with self._kept("publish the file"):
+            os.fsync(self._fd)
+            self.close()
+            try:
+                os.link(self.part, self.path)
+                os.unlink(self.part)
+            except OSError as error:
+                if error.errno not in _NO_HARD_LINKS:
+                    raise
+                os.close(os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC))
+                os.replace(self.part, self.path)
+            _sync_folder(self.path.parent)
+
+    def close(self) -> None:
+        """Let go of the file; NAME.part stays as it is. Closing twice is allowed."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+    def discard(self) -> None:
+        """Close and delete NAME.part."""
+        self.close()
+        with translated(self.part, "delete the file"):
+            os.unlink(self.part)
+
+    @contextmanager
+    def _kept(self, doing: str) -> Iterator[None]:
+        try:
+            with translated(self.path, doing, f"what was recorded stays in {self.part}: `coordlog recover` reads it"):
+                yield
+        except StorageError:
+            self.close()
+            raise
+
+
+def _sync_folder(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
