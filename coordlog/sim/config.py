@@ -21,9 +21,9 @@ class EnvConfig:
     """Steps after which an episode is truncated (the paper's MaxStep)."""
     speed: float = 1.0
     """Joint speed of a private joint at action ±1 [rad/s]."""
-    shared_speed: float = 0.5
+    shared_speed: float = 0.3
     """Joint speed of a shared joint at action ±1 [rad/s]: the spine carries half the mass, and its reversals topple the robot."""
-    smoothing: float = 0.6
+    smoothing: float = 0.7
     """First-order filter on the velocity command, 0 (none) to below 1: v ← smoothing · v + (1 - smoothing) · a."""
     goal_radius: float = 0.03
     """A palm this close to its goal [m] has reached it."""
@@ -101,7 +101,9 @@ class RewardConfig:
         if self.kappa < loitering:
             said.append(f"reward kappa = {self.kappa:g} is less than loitering at the goal can earn ({loitering:.1f} at γ = {gamma:g})")
         if self.n2 < standing:
-            said.append(f"reward n2 = {self.n2:g} is less than standing far away can cost ({standing:.1f} at γ = {gamma:g}): falling may pay")
+            said.append(
+                f"reward n2 = {self.n2:g} is less than standing far away can cost ({standing:.1f} at γ = {gamma:g}): falling may pay"
+            )
         return said
 
 

@@ -19,7 +19,7 @@ from coordlog.sim.scene import Box3, Scene
 SPLITS = {"train": 0, "test": 1}
 ATTEMPTS = 200
 CLEARANCE = 0.02
-"""Spheres keep this far [m] from the start pose and leave this much room around a goal beyond the palm's own size."""
+"""Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal beyond the palm's own size."""
 PALM_RADIUS = 0.02
 
 
@@ -27,6 +27,9 @@ PALM_RADIUS = 0.02
 class Problem:
     """One drawn episode: goals, obstacles and start angles."""
 
+    seed: int
+    split: str
+    index: int
     goals: Array  # (k, 3) m
     centre: Array | None  # (3,) of the object, m
     spheres: Array  # (n_spheres, 4): x, y, z, radius, m
@@ -61,7 +64,7 @@ class Draw:
             spheres = self._spheres(rng)
             goals, centre = self._goals(rng)
             if self._feasible(goals, spheres, angles):
-                return Problem(goals, centre, spheres, angles)
+                return Problem(seed, split, index, goals, centre, spheres, angles)
         raise SimulationError(f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})")
 
     def _start(self, rng: np.random.Generator) -> Array:
@@ -87,7 +90,7 @@ class Draw:
             if (np.linalg.norm(goals - sphere[:3], axis=1) < sphere[3] + PALM_RADIUS + CLEARANCE).any():
                 return False
         self.reach.place(spheres)
-        if self.reach.clearance(angles, among=spheres) < CLEARANCE * (len(spheres) > 0):
+        if self.reach.touches(angles, clearance=CLEARANCE):
             return False
         # Goals that were drawn as a posture's palms are reachable as drawn.
         return self._scene.object_box is None or self.reach.solve(goals) is not None
@@ -96,4 +99,3 @@ class Draw:
 def _inside(rng: np.random.Generator, box: Box3) -> Array:
     low, high = np.array(box).T
     return np.asarray(rng.uniform(low, high))
-

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import mujoco
 import numpy as np
+import zstandard
 
 import coordlog
-from coordlog.episode import Array, Json
+from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import unknown
 from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
 from coordlog.sim.draw import Draw, Problem
@@ -18,6 +20,7 @@ from coordlog.sim.robot import Robot
 from coordlog.sim.scene import Scene, compose
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
+from coordlog.spec import Layout
 
 SETTLE_SECONDS = 4.0
 """The start pose is simulated this long, so that an episode starts at rest."""
@@ -60,6 +63,7 @@ class BatchEnv:
         self._rest = settled(scene.robot, model, start)
         standing = self._rest[1 : 1 + model.nq]
         self.draw = Draw(scene, model, config, standing=standing)
+        self._packed: dict[str, bytes] = {}
         self._object = int(model.body("object").mocapid[0]) if scene.object_half is not None else None
 
     @property
@@ -92,10 +96,28 @@ class BatchEnv:
         """Advance simulations `ids` by one control period; actions (len(ids), n_u) float32 in [-1, 1]."""
         return self.simulation.step(action, ids)
 
-    def model_text(self, sim: int) -> str:
-        """MJCF of one simulation, its own spheres included: compiling it gives the model it runs on."""
+    def attachments(self, sim: int) -> dict[str, bytes]:
+        """What a file needs so that it alone can be simulated again: one simulation's model as text and as MJB, and its state.
+
+        Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the model the simulation runs on.
+        """
+        state = self.physics.rows[sim].tobytes()
+        return {**self._model_attachments(sim), INITIAL_STATE: state}
+
+    def _model_attachments(self, sim: int) -> dict[str, bytes]:
         radii = tuple(float(radius) for radius in self.simulation.radii[sim])
-        return compose(self.scene, self.task.config, radii) if radii else self.text
+        if not radii and self._packed:
+            return self._packed
+        text = compose(self.scene, self.task.config, radii) if radii else self.text
+        packed = {MODEL_XML: _pack(text.encode()), MODEL_MJB: _pack(binary(self.physics.model_of(sim)))}
+        self._packed = packed
+        return packed
+
+    @property
+    def layout(self) -> Layout:
+        """The lengths that give every logged field its shape."""
+        model = self.task.model
+        return Layout(n_q=model.nq, n_v=model.nv, n_x=len(self.task.view), n_u=len(self.task.servos), k=len(self.scene.robot.arms))
 
     def describe(self) -> Json:
         """The `coordlog.env` record of every episode of this environment (`episode.Header.env`)."""
@@ -112,9 +134,20 @@ class BatchEnv:
             "geoms": [model.geom(i).name for i in range(model.ngeom)],
             "arms": robot.served,
             "action_joints": list(robot.action_joints),
-            "layout": {"n_q": model.nq, "n_v": model.nv, "n_x": len(self.task.view), "n_u": len(self.task.servos), "k": len(robot.arms)},
+            "layout": asdict(self.layout),
             **self.task.view.to_json(),
         }
+
+
+def binary(model: mujoco.MjModel) -> bytes:
+    """A compiled model as MJB."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+def _pack(content: bytes) -> bytes:
+    return zstandard.ZstdCompressor(level=6).compress(content)
 
 
 def hinges(model: mujoco.MjModel) -> list[Json]:

@@ -13,15 +13,19 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.sim.balance import support_margin
 from coordlog.sim.robot import Robot
-from coordlog.sim.scene import goal_body, sole_corner, sphere_geom
+from coordlog.sim.scene import sole_corner, sphere_geom
 
 ITERATIONS = 60
 DAMPING = 0.03
 TOLERANCE = 0.002
+RESOLUTION = 0.05
+"""A joint path is looked at this often [rad]."""
 STEP = 0.25
 """Largest joint change of one iteration [rad]."""
 POSTURE = 0.05
 """Share of the way back to the seed posture that each iteration makes in the null space."""
+MARGIN = 0.03
+"""Obstacles nearer than this to the robot can be told from far ones [m]."""
 SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
@@ -37,6 +41,8 @@ class Reach:
         standing: qpos at rest in the start pose, shape (n_q,).
         """
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
+        self._obstacles = obstacles(self._model)
+        self._model.geom_margin[self._obstacles] = MARGIN  # contacts with obstacles are listed before they touch
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
@@ -51,7 +57,6 @@ class Reach:
         self._effort = np.array([SHARED_EFFORT if name in robot.shared else 1.0 for name in robot.action_joints])
         self._seeds = [self.angles_of(robot, pose) for pose in robot.poses if pose != "neutral"][::-1]
         self._jacobian = np.zeros((3, self._model.nv))
-        self._markers = [model.body(goal_body(arm.name)).mocapid[0] for arm in robot.arms]
 
     @staticmethod
     def angles_of(robot: Robot, pose: str) -> Array:
@@ -72,42 +77,48 @@ class Reach:
         mujoco.mj_kinematics(self._model, self._data)
         return np.asarray(self._data.site_xpos[self._sites].copy())
 
-    def legal(self, angles: Array) -> bool:
-        """No contact other than sole on floor, and the centre of mass over the feet."""
+    def touches(self, angles: Array, *, clearance: float = 0.0) -> bool:
+        """The robot touches itself or an obstacle, or comes closer to an obstacle than `clearance` ≤ MARGIN [m]."""
         self.palms(angles)
-        mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
-        for first, second in self._data.contact.geom:
-            if not ({int(first), int(second)} & self._sole_geoms):
-                return False
+        contact = self._data.contact
+        for (first, second), distance in zip(contact.geom, contact.dist, strict=True):
+            if not self._sole_geoms & {int(first), int(second)} and (distance < clearance):
+                return True
+        return False
+
+    def legal(self, angles: Array, *, clearance: float = 0.0) -> bool:
+        """No touch (as `touches`), and the centre of mass over the feet."""
+        if self.touches(angles, clearance=clearance):
+            return False
         if not self._soles:
             return True
+        mujoco.mj_comPos(self._model, self._data)
         corners = self._data.site_xpos[self._corners].copy()
         corners[:, 2] -= corners[:, 2].min()  # the base stands still: the soles are on the floor
         return bool(support_margin(self._data.subtree_com[self._base, :2], corners) > self._margin)
 
-    def clearance(self, angles: Array, *, among: Array) -> float:
-        """Distance between the robot at joint angles and the nearest sphere obstacle [m]; infinite without spheres."""
-        self.palms(angles)
-        spheres = [self._model.geom(sphere_geom(i)).id for i in range(len(among))]
-        limbs = [i for i in range(self._model.ngeom) if self._model.geom_bodyid[i] and self._model.body_mocapid[self._model.geom_bodyid[i]] < 0]
-        pairs = ((sphere, limb) for sphere in spheres for limb in limbs)
-        return min((mujoco.mj_geomDistance(self._model, self._data, a, b, 1.0, None) for a, b in pairs), default=np.inf)
+    def free(self, start: Array, end: Array, *, clearance: float) -> bool:
+        """The straight joint path from `start` (exclusive) to `end` touches nothing and keeps `clearance` from obstacles."""
+        count = max(int(np.ceil(np.abs(end - start).max() / RESOLUTION)), 1)
+        return not any(self.touches(start + (end - start) * (i / count), clearance=clearance) for i in range(1, count + 1))
 
-    def solve(self, goals: Array, *, seed: Array | None = None) -> Array | None:
+    def solve(self, goals: Array, *, seed: Array | None = None, clearance: float = 0.0) -> Array | None:
         """Legal joint angles with every palm on its goal, or None.
 
         Args:
             goals: Goal of each palm, shape (k, 3) [m].
             seed: Angles to start from and stay near, shape (n_u,); without it the robot's named poses, one after another.
+            clearance: Distance kept from obstacles, at most MARGIN [m].
         """
         for start in self._seeds if seed is None else [seed]:
-            angles = self._descend(goals, start)
-            if angles is not None and self.legal(angles):
+            angles = self.descend(goals, start)
+            if angles is not None and self.legal(angles, clearance=clearance):
                 return angles
         return None
 
-    def _descend(self, goals: Array, seed: Array) -> Array | None:
+    def descend(self, goals: Array, seed: Array) -> Array | None:
+        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search does not get there."""
         angles = np.clip(seed, self.limits[:, 0], self.limits[:, 1])
         identity = DAMPING**2 * np.eye(goals.size)
         for _ in range(ITERATIONS):
@@ -129,3 +140,10 @@ class Reach:
             mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
             rows.append(self._jacobian[:, self._dofs])
         return np.concatenate(rows)
+
+
+def obstacles(model: mujoco.MjModel) -> Array:
+    """Ids of the solid geoms of the world that are not the floor: panels and spheres."""
+    bodies = model.geom_bodyid
+    still = (bodies == 0) | (model.body_mocapid[bodies] >= 0)
+    return np.flatnonzero(still & (model.geom_contype > 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))

@@ -1,0 +1,138 @@
+"""The scripted expert: arms out to the sides with elbows flexed, in front, then all palms to their goals by inverse kinematics.
+
+It sees what any policy sees, the state, and acts in [-1, 1]. At the start of an episode it tries a few ways through the joint space
+and takes the first that touches nothing; under way it follows straight joint lines with feedback, and near the end corrects the palms
+for the sway of a robot that stands on its own feet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.sim.ik import Reach
+from coordlog.sim.task import Task
+
+GAIN_STEPS = 4.0
+"""An error is meant to be gone after this many steps at the speed it asks for; fewer would overshoot behind the command filter."""
+ARRIVED = 0.15
+"""A way point is passed within this distance of every joint [rad]."""
+NEAR = 0.12
+"""Palm correction starts within this distance of the last way point [rad]."""
+CORRECTION = 0.15
+"""Share of the palm error that the last way point takes up per step."""
+CLEARANCES = (0.02, 0.01, 0.0)
+TRIES = 12
+SPREAD = 0.35
+"""Standard deviation of the random changes to the via poses when no known way is free [rad]."""
+
+
+@dataclass
+class Plan:
+    """What one slot is doing: way points in joint space, the last one on the goals."""
+
+    points: list[Array]
+    goals: Array
+    bias: Array
+    at: int = 0
+
+
+class Expert:
+    """Plans at the start of an episode, then follows."""
+
+    def __init__(self, task: Task, reach: Reach, n: int) -> None:
+        """Args:
+        task: View of the state, joint speeds and limits.
+        reach: Kinematics of the scene; the expert moves its spheres about.
+        n: Number of slots.
+        """
+        self._task, self._reach = task, reach
+        self._plans: list[Plan | None] = [None] * n
+        self._step = task.speeds * task.config.control_period  # (n_u,) rad per step at action 1
+        self._ways = _ways(task)
+
+    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
+        """Plan a way for each slot."""
+        view = self._task.view
+        angles, goals = view.physical(state, "angles"), view.physical(state, "goals")
+        spheres = view.physical(state, "spheres") if self._task.n_spheres else np.zeros((len(ids), 0))
+        for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
+            self._reach.place(obstacle.reshape(-1, 4))
+            targets = goal.reshape(-1, 3)
+            self._plans[slot] = Plan(self._way(start, targets, rng), targets, np.zeros_like(targets))
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
+        view = self._task.view
+        angles, palms = view.physical(state, "angles"), view.physical(state, "palms")
+        action = np.zeros((len(ids), len(self._step)), dtype=np.float32)
+        for row, slot in enumerate(ids):
+            plan = self._plans[slot]
+            assert plan is not None, "begin() comes before act()"
+            error = self._follow(plan, angles[row], palms[row].reshape(-1, 3))
+            wanted = error / (self._step * GAIN_STEPS)
+            action[row] = wanted / max(1.0, np.abs(wanted).max())
+        return action
+
+    def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
+        """Error to the present way point [rad]; passes way points and corrects the last one."""
+        error = np.asarray(plan.points[plan.at] - angles)
+        while plan.at + 1 < len(plan.points) and np.abs(error).max() < ARRIVED:
+            plan.at += 1
+            error = plan.points[plan.at] - angles
+        if plan.at + 1 == len(plan.points) and np.abs(error).max() < NEAR:
+            plan.bias += CORRECTION * (plan.goals - palms)
+            corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1])
+            if corrected is not None:
+                plan.points[-1] = corrected
+                error = corrected - angles
+        return error
+
+    def _way(self, start: Array, goals: Array, rng: np.random.Generator) -> list[Array]:
+        """The first way that keeps its distance from everything; the known ways first, then random changes to them."""
+        ends = self._ends(goals)
+        for clearance in CLEARANCES:
+            for end in ends:
+                for vias in self._ways:
+                    if self._clear([start, *vias, end], clearance):
+                        return [*vias, end]
+        low, high = self._task.limits.T
+        for _ in range(TRIES):
+            vias = [np.clip(via + SPREAD * rng.standard_normal(len(via)), low, high) for via in self._ways[0]]
+            for end in ends:
+                if self._clear([start, *vias, end], CLEARANCES[-1]):
+                    return [*vias, end]
+        return [*self._ways[0], ends[0]]
+
+    def _ends(self, goals: Array) -> list[Array]:
+        """Legal postures with the palms on the goals, as different as the seeds they were found from."""
+        seeds = [way[-1] for way in self._ways if way]
+        found = [self._reach.solve(goals, seed=seed) for seed in seeds] + [self._reach.solve(goals)]
+        legal = [end for end in found if end is not None]
+        return legal or [self._reach.standing_angles]
+
+    def _clear(self, points: list[Array], clearance: float) -> bool:
+        return all(self._reach.free(a, b, clearance=clearance) for a, b in zip(points, points[1:], strict=False))
+
+
+def _ways(task: Task) -> list[list[Array]]:
+    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot without elbows to flex."""
+    joints = task.robot.action_joints
+    if "l_shoulder_x" not in joints:
+        return [[]]
+
+    def posture(**degrees: float) -> Array:
+        angles = np.zeros(len(joints))
+        for name, value in degrees.items():
+            angles[joints.index(f"l_{name}")] = np.radians(value)
+            angles[joints.index(f"r_{name}")] = np.radians(-value if name in ("shoulder_x", "arm_z") else value)
+        return angles
+
+    home = posture(shoulder_x=20, elbow_y=-90)
+    out = posture(shoulder_x=75, elbow_y=-130)
+    wide = posture(shoulder_x=45, elbow_y=-110)
+    folded = posture(shoulder_x=25, shoulder_y=30, elbow_y=-140)
+    high = posture(shoulder_x=30, shoulder_y=-40, elbow_y=-120)
+    return [[out, home], [folded, home], [out, high], [folded, high], [out, wide], [out, wide, high]]
