@@ -59,13 +59,15 @@ class Recorder:
         epoch: int | None = None,
         finished: Callable[[Finished], None] | None = None,
     ) -> None:
-        """Args:
-        env: What to record.
-        folder: Where; made if missing. Files that are there stay as they are.
-        policy: The `coordlog.policy` record: kind, name, checkpoint_sha256, noise.
-        display: Also write the topics that viewers plot by name.
-        epoch: Start time of every episode [ns since 1970]; None for the wall clock. With it, equal runs write equal bytes.
-        finished: Called on the writing thread with every finished file.
+        """Make the folder; files appear as episodes start.
+
+        Args:
+            env: What to record.
+            folder: Where; made if missing. Files that are there stay as they are.
+            policy: The `coordlog.policy` record: kind, name, checkpoint_sha256, noise.
+            display: Also write the topics that viewers plot by name.
+            epoch: Start time of every episode [ns since 1970]; None for the wall clock. With it, equal runs write equal bytes.
+            finished: Called on the writing thread with every finished file.
 
         Raises:
             StorageError: if the folder cannot be made.

@@ -40,11 +40,13 @@ class Draw:
     """Draws the problems of one scene; owns the kinematic model that verifies them."""
 
     def __init__(self, scene: Scene, model: mujoco.MjModel, config: EnvConfig, *, standing: Array) -> None:
-        """Args:
-        scene: What to draw for.
-        model: The scene's compiled model.
-        config: Start noise and balance margin.
-        standing: qpos of the settled start pose, shape (n_q,).
+        """Copy what is needed to verify draws.
+
+        Args:
+            scene: What to draw for.
+            model: The scene's compiled model.
+            config: Start noise and balance margin.
+            standing: qpos of the settled start pose, shape (n_q,).
         """
         self._scene, self._config = scene, config
         self.reach = Reach(scene.robot, model, margin=config.balance_margin, standing=standing)
@@ -83,7 +85,7 @@ class Draw:
             return self.reach.palms(rng.uniform(self.reach.limits[:, 0], self.reach.limits[:, 1])), None
         centre = _inside(rng, self._scene.object_box)
         sides = np.array([self._scene.palm_offset, -self._scene.palm_offset])
-        return np.stack([centre + [0.0, side, 0.0] for side in sides]), centre
+        return np.stack([centre + np.array([0.0, side, 0.0]) for side in sides]), centre
 
     def _feasible(self, goals: Array, spheres: Array, angles: Array) -> bool:
         for sphere in spheres:

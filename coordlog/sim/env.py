@@ -43,13 +43,15 @@ class BatchEnv:
         threads: int = 0,
         start: str = "stand",
     ) -> None:
-        """Args:
-        scene: What to simulate.
-        config: Control, endings, balance and state.
-        reward: Constants of the reward.
-        n: Number of simulations.
-        threads: Threads to step on; 0 for all cores.
-        start: Name of the robot's start pose.
+        """Compile the scene and let the robot come to rest in its start pose.
+
+        Args:
+            scene: What to simulate.
+            config: Control, endings, balance and state.
+            reward: Constants of the reward.
+            n: Number of simulations.
+            threads: Threads to step on; 0 for all cores.
+            start: Name of the robot's start pose.
         """
         config, reward = config or EnvConfig(), reward or RewardConfig()
         if start not in scene.robot.poses:

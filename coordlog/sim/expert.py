@@ -8,6 +8,7 @@ for the sway of a robot that stands on its own feet.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,10 +44,12 @@ class Expert:
     """Plans at the start of an episode, then follows."""
 
     def __init__(self, task: Task, reach: Reach, n: int) -> None:
-        """Args:
-        task: View of the state, joint speeds and limits.
-        reach: Kinematics of the scene; the expert moves its spheres about.
-        n: Number of slots.
+        """Prepare the known ways through the joint space.
+
+        Args:
+            task: View of the state, joint speeds and limits.
+            reach: Kinematics of the scene; the expert moves its spheres about.
+            n: Number of slots.
         """
         self._task, self._reach = task, reach
         self._plans: list[Plan | None] = [None] * n
@@ -114,7 +117,7 @@ class Expert:
         return legal or [self._reach.standing_angles]
 
     def _clear(self, points: list[Array], clearance: float) -> bool:
-        return all(self._reach.free(a, b, clearance=clearance) for a, b in zip(points, points[1:], strict=False))
+        return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
 
 
 def _ways(task: Task) -> list[list[Array]]:

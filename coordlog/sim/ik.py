@@ -34,11 +34,13 @@ class Reach:
     """The kinematics of one robot in one scene: palms, legality and inverse kinematics at given joint angles."""
 
     def __init__(self, robot: Robot, model: mujoco.MjModel, *, margin: float, standing: Array) -> None:
-        """Args:
-        robot: Names.
-        model: The scene's model; copied, so spheres can be placed.
-        margin: The centre of mass stays this far inside the feet [m].
-        standing: qpos at rest in the start pose, shape (n_q,).
+        """Copy the model; nothing here touches a simulation.
+
+        Args:
+            robot: Names.
+            model: The scene's model; copied, so spheres can be placed.
+            margin: The centre of mass stays this far inside the feet [m].
+            standing: qpos at rest in the start pose, shape (n_q,).
         """
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
         self._obstacles = obstacles(self._model)

@@ -46,11 +46,13 @@ class Physics:
     """N simulations of one model on a thread pool; bit-identical to a plain loop at any number of threads."""
 
     def __init__(self, model: mujoco.MjModel, *, n: int, threads: int = 0, models: Sequence[mujoco.MjModel] | None = None) -> None:
-        """Args:
-        model: What every simulation runs on.
-        n: Number of simulations.
-        threads: Threads to step on; 0 for all cores.
-        models: Models of the same layout, one per simulation, that differ in constants (a log's own); None for `model`.
+        """Make the batch and bind what every step reads.
+
+        Args:
+            model: What every simulation runs on.
+            n: Number of simulations.
+            threads: Threads to step on; 0 for all cores.
+            models: Models of the same layout, one per simulation, that differ in constants (a log's own); None for `model`.
         """
         self.model = model
         self._batch = Batch(model, n, threads, persistent=True)

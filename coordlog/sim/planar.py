@@ -35,7 +35,8 @@ def mjcf() -> str:
         '<mujoco model="planar">\n<compiler angle="radian" autolimits="true"/>\n'
         '<option timestep="0.004" integrator="implicitfast" gravity="0 0 0"/>\n'
         # The links may pass over one another: they lie in different planes in the paper's drawing, so nothing collides.
-        '<default><joint damping="0.05" armature="0.001"/><geom mass="0.05" contype="0" conaffinity="0" rgba="0.26 0.52 0.80 1"/></default>\n'
+        '<default><joint damping="0.05" armature="0.001"/>'
+        '<geom mass="0.05" contype="0" conaffinity="0" rgba="0.26 0.52 0.80 1"/></default>\n'
         f"<worldbody>\n{tree}\n</worldbody>\n<actuator>{servos}</actuator>\n</mujoco>\n"
     )
 

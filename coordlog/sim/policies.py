@@ -84,4 +84,5 @@ class Noisy:
 
     def act(self, ids: Array, state: Array) -> Array:
         """The policy's action plus noise, clipped to [-1, 1], (n, n_u)."""
-        return np.clip(self._policy.act(ids, state) + self._noise.draw(ids), -1.0, 1.0).astype(np.float32)
+        action: Array = self._policy.act(ids, state) + self._noise.draw(ids)
+        return np.clip(action, -1.0, 1.0).astype(np.float32)

@@ -174,10 +174,10 @@ def _mocap_bodies(world: ET.Element, scene: Scene, radii: tuple[float, ...]) -> 
     marker = {"contype": "0", "conaffinity": "0", "group": "1", "mass": "0"}
     for arm in scene.robot.arms:
         body = ET.SubElement(world, "body", name=goal_body(arm.name), mocap="true", pos=_numbers(scene.robot.centre))
-        ET.SubElement(body, "geom", name=goal_body(arm.name), type="sphere", size="0.008", rgba="0.95 0.25 0.25 1", **marker)
+        ET.SubElement(body, "geom", marker, name=goal_body(arm.name), type="sphere", size="0.008", rgba="0.95 0.25 0.25 1")
     if scene.object_half is not None:
         body = ET.SubElement(world, "body", name="object", mocap="true", pos=_numbers(scene.robot.centre))
-        ET.SubElement(body, "geom", name="object", type="box", size=_numbers(scene.object_half), rgba="0.25 0.70 0.35 0.6", **marker)
+        ET.SubElement(body, "geom", marker, name="object", type="box", size=_numbers(scene.object_half), rgba="0.25 0.70 0.35 0.6")
     for i in range(scene.spheres):
         radius = radii[i] if radii else scene.sphere_radius[1]
         body = ET.SubElement(world, "body", name=sphere_geom(i), mocap="true", pos=f"1 {i} 1")
