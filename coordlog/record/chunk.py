@@ -147,20 +147,20 @@ def expand(content: memoryview, *, verify: bool = True) -> bytes:
     return data
 
 
-def split(data: bytes) -> tuple[bytes, dict[int, list[memoryview]]]:
+def split(data: bytes) -> tuple[bytes, dict[int, list[bytes]]]:
     """The definitions at the start of an expanded chunk, and its message records by channel.
 
     Raises:
         FormatError: if the records do not fill the chunk exactly, or definitions follow messages.
     """
-    messages: dict[int, list[memoryview]] = {}
-    view, at, size, definitions = memoryview(data), 0, len(data), 0
+    messages: dict[int, list[bytes]] = {}
+    at, size, definitions = 0, len(data), 0
     unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
     while at + head <= size:
         opcode, length, channel = unpack(data, at)
         end = at + RECORD_HEAD.size + length
         if opcode == Opcode.MESSAGE:
-            messages.setdefault(channel, []).append(view[at:end])
+            messages.setdefault(channel, []).append(data[at:end])
         elif messages or opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             raise FormatError(f"chunk: unexpected record {opcode:#x} at byte {at}")
         else:

@@ -16,7 +16,7 @@ from coordlog.errors import FormatError, SpecError
 from coordlog.spec import SCHEMA_VERSION, Layout
 
 PREFIX = "coordlog."
-EPISODE = PREFIX + "episode"
+EPISODE, ENV = PREFIX + "episode", PREFIX + "env"
 RESULT = PREFIX + "result"
 HEADER_RECORDS = tuple(PREFIX + item.name for item in fields(Header))
 """Names of the metadata records that open a file, in order."""
@@ -67,17 +67,40 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
     Raises:
         FormatError: if a record or a key that reading depends on is missing, or the schema version is another one.
     """
-    version = records.get(EPISODE, {}).get("schema_version")
-    if version is not None and version != str(SCHEMA_VERSION):
-        raise FormatError(f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it")
+    require_version(records.get(EPISODE, {}))
     missing = [name for name in HEADER_RECORDS if name not in records]
-    if missing or version is None:
-        raise FormatError(f"metadata {', '.join(missing) or EPISODE + ' schema_version'} missing: not a coordlog episode")
+    if missing:
+        raise FormatError(f"metadata {', '.join(missing)} missing: not a coordlog episode")
+    decode_layout(records[ENV])
     header = Header(*(decode(records[name]) for name in HEADER_RECORDS))
     _require(header.episode, {"start_time": int}, EPISODE)
-    _require(header.env, {"layout": dict, "arms": dict, "joints": list}, PREFIX + "env")
-    _require(header.env["layout"], {item.name: int for item in fields(Layout)}, PREFIX + "env layout")
+    _require(header.env, {"joints": list}, ENV)
     return header
+
+
+def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
+    """Layout and names of the arms out of the metadata record `coordlog.env`: all that decoding messages needs.
+
+    Raises:
+        FormatError: if a key is missing.
+    """
+    values = decode({key: env[key] for key in ("layout", "arms") if key in env})
+    _require(values, {"layout": dict, "arms": dict}, ENV)
+    _require(values["layout"], {item.name: int for item in fields(Layout)}, ENV + " layout")
+    return Layout(**values["layout"]), tuple(values["arms"])
+
+
+def require_version(episode: Strings) -> None:
+    """Hold the metadata record `coordlog.episode` to the schema version of this release.
+
+    Raises:
+        FormatError: if it is of another version, or says none.
+    """
+    version = episode.get("schema_version")
+    if version is None:
+        raise FormatError(f"metadata {EPISODE}: schema_version missing: not a coordlog episode")
+    if version != str(SCHEMA_VERSION):
+        raise FormatError(f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it")
 
 
 def encode_result(result: Result) -> dict[str, str]:

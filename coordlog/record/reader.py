@@ -23,7 +23,7 @@ from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import expand, split
 from coordlog.record.container import FOOTER, MAGIC, TAIL_SIZE, Span, unpack_attachment, unpack_definitions, unpack_metadata, walk
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
-from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result
+from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result, require_version
 from coordlog.record.storage import translated
 from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
 
@@ -47,7 +47,7 @@ class Contents:
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[memoryview] = field(default_factory=list)
-    messages: dict[str, list[memoryview]] = field(default_factory=dict)
+    messages: dict[str, list[bytes]] = field(default_factory=dict)
 
     def add_chunk(self, data: bytes, topics: dict[int, str]) -> None:
         """Add the messages of an expanded chunk; `topics` learns the channels that it defines."""
@@ -97,6 +97,25 @@ def read_summary(path: File) -> Summary:
                 content = memoryview(os.pread(fd, length, offset))[9:]
                 return Summary(header, decode_result(unpack_metadata(content)[1]), size)
         raise TruncatedError(_no_marker(size))
+
+
+def probe(path: File) -> int:
+    """Size in bytes of what looks like a finished episode, from one read at each end of the file.
+
+    Raises:
+        TruncatedError: if it does not end as a finished file.
+        FormatError: if it is not a coordlog episode of a version this release reads.
+    """
+    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+        size, head = os.fstat(fd).st_size, memoryview(os.pread(fd, 4096, 0))
+        require_coordlog(head)
+        summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
+        first = next((span for span in walk(head) if span.opcode == Opcode.METADATA), None)
+        if first is None:
+            _header(fd)
+        else:
+            require_version(unpack_metadata(head[first.start : first.end])[1])
+        return size
 
 
 def read_episode(path: File, *, verify: bool = True) -> Episode:

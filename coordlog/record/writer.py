@@ -7,7 +7,6 @@ makes the file durable and gives it its name. Identical input gives identical by
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path as FilePath
@@ -15,7 +14,6 @@ from types import TracebackType
 
 import numpy as np
 
-from coordlog import __version__
 from coordlog.episode import CONTACT, Array, Episode, Header, Path, Result
 from coordlog.errors import SpecError
 from coordlog.record.chunk import Batch, compose
@@ -23,51 +21,16 @@ from coordlog.record.container import Container
 from coordlog.record.messages import Columns, Encoder
 from coordlog.record.metadata import RESULT, encode_header, encode_result
 from coordlog.record.storage import PartFile
+from coordlog.record.tally import Tally
 from coordlog.record.topics import topics
 from coordlog.spec import FINAL, SCHEMA_VERSION, STEP, Field
+from coordlog.version import __version__
 
 LIBRARY = f"coordlog/{__version__}"
 BLOCK = 25
 """Steps in a chunk: a second of simulated time at the default control period, so that no crash costs more."""
 
 _NO_CONTACTS = np.empty(0, CONTACT)
-
-
-class Tally:
-    """What the result says about the steps, kept up block by block."""
-
-    def __init__(self, k: int) -> None:
-        self.length = 0
-        self.returns = np.zeros(k)
-        self.success, self.spoiled = False, False
-        self.terminated, self.truncated = False, False
-        self._digest = hashlib.sha256()
-
-    def add(self, columns: Columns) -> None:
-        """Count a block of steps in; rewards are added one by one, in order, so that a sum does not depend on the blocks."""
-        self.length += len(columns["reward"])
-        self.returns = np.add.accumulate(np.vstack([self.returns, columns["reward"]]))[-1]
-        self.success = self.success or bool(columns["goal"].all(axis=1).any())
-        self.spoiled = self.spoiled or bool(columns["collision"].any() or columns["instability"].any())
-        self.terminated, self.truncated = bool(columns["terminated"][-1]), bool(columns["truncated"][-1])
-        self.add_states(columns)
-
-    def add_states(self, columns: Columns) -> None:
-        """Add the bytes of qpos and qvel, row by row, to the digest."""
-        self._digest.update(np.concatenate([columns["qpos"], columns["qvel"]], axis=1).tobytes())
-
-    def result(self, aborted: str) -> Result:
-        """The result so far."""
-        return Result(
-            length=self.length,
-            returns=tuple(self.returns.tolist()),
-            success=self.success,
-            clean=self.success and not self.spoiled,
-            terminated=self.terminated,
-            truncated=self.truncated,
-            aborted=aborted,
-            digest=self._digest.hexdigest(),
-        )
 
 
 class EpisodeWriter:
