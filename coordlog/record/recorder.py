@@ -40,7 +40,19 @@ class Finished(NamedTuple):
     header: Header
     result: Result
     distance: Array
-    """Palm to goal of each arm after the last step, (k,) [m]; empty for an episode without steps."""
+    """Palm to goal of each arm after the last step, (k,) [m]."""
+    collided: bool
+    """There was a collision at some step."""
+    fell: bool
+    """There was an instability at the last step."""
+
+
+class _Last(NamedTuple):
+    """What a summary needs of a slot's latest step."""
+
+    distance: Array
+    collided: bool
+    fell: bool
 
 
 class Recorder:
@@ -84,7 +96,10 @@ class Recorder:
         self._filled = np.zeros(env.n, dtype=np.int64)
         self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
         self._rows = self._buffers()
+        self._last = [_Last(np.zeros(0), False, False)] * env.n
         self._stepping = False
+        self.seconds = 0.0
+        """Time that recording has cost so far: on the caller's thread, and processor time of the writing thread [s]."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="coordlog-writer")
         self._pending: deque[Future[Any]] = deque()
 
@@ -112,6 +127,7 @@ class Recorder:
         for slot, problem in zip(ids, problems, strict=True):
             header, attachments = self._header(problem), self._env.attachments(int(slot))
             self._filled[slot] = 0
+            self._last[slot] = _Last(np.zeros(0), False, False)
             self._writers[slot] = self._open(header, attachments)
 
     def step(self, action: Array, ids: Array) -> Outcome:
@@ -120,18 +136,22 @@ class Recorder:
         Raises:
             StorageError: if an earlier block could not be written.
         """
+        began = time.perf_counter()
         at = self._filled[ids]
         self._stepping = True
         self._rows["action"][ids, at] = action
         for name, values in self._present(ids).items():
             self._rows[name][ids, at] = values
+        stepped = time.perf_counter()
         outcome = self._env.step(action, ids)
+        back = time.perf_counter()
         for name in LED_TO:
             self._rows[name][ids, at] = getattr(outcome, name)
-        self._collect_contacts(ids, at, outcome)
+        self._collect(ids, outcome)
         self._filled[ids] += ~outcome.diverged
         self._stepping = False
         self._after(ids, outcome)
+        self.seconds += stepped - began + time.perf_counter() - back
         return outcome
 
     def close(self, reason: str = "interrupted") -> None:
@@ -170,7 +190,12 @@ class Recorder:
         simulation = self._env.simulation
         return {name: getattr(simulation, name)[ids] for name in BEFORE}
 
-    def _collect_contacts(self, ids: Array, at: Array, outcome: Outcome) -> None:
+    def _collect(self, ids: Array, outcome: Outcome) -> None:
+        """Keep the contacts of this step, and what it means for the episode."""
+        for row in np.flatnonzero(~outcome.diverged):
+            before = self._last[ids[row]]
+            fell, collided = bool(outcome.instability[row]), before.collided or bool(outcome.collision[row])
+            self._last[ids[row]] = _Last(outcome.distance[row], collided, fell)
         for row in np.flatnonzero(outcome.collision & ~outcome.diverged):
             rows = outcome.contacts[row].copy()
             rows["step"] = self._env.simulation.steps[ids[row]] - 1
@@ -206,22 +231,27 @@ class Recorder:
             final = {name: self._rows[name][slot, at].copy() for name in BEFORE}
         else:
             final = {name: np.array(values[0]) for name, values in self._present(np.array([slot])).items()}
-        distance = self._rows["distance"][slot, at - 1].copy() if at else np.zeros(0)
+        last = self._last[slot]
         self._flush(slot)
         self._writers[slot] = None
-        self._submit(self._finish, writer, final, aborted, distance)
+        self._submit(self._finish, writer, final, aborted, last)
 
-    def _finish(self, writer: EpisodeWriter, final: dict[str, Array], aborted: str, distance: Array) -> None:
+    def _finish(self, writer: EpisodeWriter, final: dict[str, Array], aborted: str, last: _Last) -> None:
         if not writer.length:  # nothing happened: there is no episode to keep
             writer.discard()
             return
         result = writer.finish(final, aborted=aborted)
         if self._finished:
-            self._finished(Finished(writer.path, writer.header, result, distance))
+            self._finished(Finished(writer.path, writer.header, result, *last))
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
-        self._pending.append(self._thread.submit(job, *args))
+        self._pending.append(self._thread.submit(self._timed, job, *args))
         self._drain(BACKLOG)
+
+    def _timed(self, job: Callable[..., None], *args: Any) -> None:
+        began = time.thread_time()
+        job(*args)
+        self.seconds += time.thread_time() - began
 
     def _drain(self, leave: int) -> None:
         """Raise what failed on the writing thread; wait until no more than `leave` jobs are left."""

@@ -25,7 +25,10 @@ NEAR = 0.12
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
 CLEARANCES = (0.02, 0.01, 0.0)
+RESTARTS = 20
+"""Random postures to search from when no known one leads to the goals."""
 TRIES = 12
+"""Random changes to the via poses when no known way is free."""
 SPREAD = 0.35
 """Standard deviation of the random changes to the via poses when no known way is free [rad]."""
 
@@ -63,7 +66,7 @@ class Expert:
         spheres = view.physical(state, "spheres") if self._task.n_spheres else np.zeros((len(ids), 0))
         for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
             self._reach.place(obstacle.reshape(-1, 4))
-            targets = goal.reshape(-1, 3)
+            targets = np.asarray(goal.reshape(-1, 3))
             self._plans[slot] = Plan(self._way(start, targets, rng), targets, np.zeros_like(targets))
 
     def act(self, ids: Array, state: Array) -> Array:
@@ -95,7 +98,7 @@ class Expert:
 
     def _way(self, start: Array, goals: Array, rng: np.random.Generator) -> list[Array]:
         """The first way that keeps its distance from everything; the known ways first, then random changes to them."""
-        ends = self._ends(goals)
+        ends = self._ends(goals, rng)
         for clearance in CLEARANCES:
             for end in ends:
                 for vias in self._ways:
@@ -109,11 +112,15 @@ class Expert:
                     return [*vias, end]
         return [*self._ways[0], ends[0]]
 
-    def _ends(self, goals: Array) -> list[Array]:
-        """Legal postures with the palms on the goals, as different as the seeds they were found from."""
+    def _ends(self, goals: Array, rng: np.random.Generator) -> list[Array]:
+        """Legal postures with the palms on the goals, as different as the seeds they were found from; the start posture if there is none."""
         seeds = [way[-1] for way in self._ways if way]
         found = [self._reach.solve(goals, seed=seed) for seed in seeds] + [self._reach.solve(goals)]
         legal = [end for end in found if end is not None]
+        for _ in range(RESTARTS if not legal else 0):
+            end = self._reach.solve(goals, seed=rng.uniform(*self._task.limits.T))
+            if end is not None:
+                return [end]
         return legal or [self._reach.standing_angles]
 
     def _clear(self, points: list[Array], clearance: float) -> bool:

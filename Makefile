@@ -1,0 +1,45 @@
+# make demo   sets everything up and runs the main job end to end
+# make test   sets everything up and passes the tests
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+DEMO ?= demo
+
+.PHONY: help demo test check fix bench schemas clean
+.DEFAULT_GOAL := help
+
+help:  ## what there is to make
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "coordlog needs Python 3.11 or newer: make PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $(READY)
+
+demo: $(READY)  ## record in four scenes, check every file by replay, list them
+	BIN=$(BIN) sh docs/demo.sh $(DEMO)
+
+test: $(READY)  ## all tests, under five minutes on two cores
+	$(BIN)/python -m pytest
+
+check: $(READY)  ## format, lint, types, tests: what has to pass before a change lands
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+fix: $(READY)  ## format and repair what can be repaired
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(READY)  ## speed, as ratios measured in one run
+	$(BIN)/python -m bench
+
+schemas: $(READY)  ## write schemas/ anew from coordlog/spec.py
+	$(BIN)/python -m coordlog.record.schema
+
+clean:  ## remove what was built (not logs)
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist

@@ -1,0 +1,129 @@
+"""coordlog record: episodes out of MuJoCo."""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.commands.environment import make_env
+from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
+
+if TYPE_CHECKING:
+    from coordlog.record.recorder import Finished, Recorder
+
+NEAREST = 1e-4
+"""Errors are clamped to this [m], so that a score stays finite."""
+
+
+def record(
+    scene: Annotated[str, typer.Option(help="free, spheres, table, shelf or planar; `coordlog scenes` lists them.")] = "table",
+    policy: Annotated[str, typer.Option(help="expert, random or still.")] = "expert",
+    episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
+    split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
+    noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
+    noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
+    start: Annotated[str, typer.Option(help="Start pose of the robot.")] = "stand",
+    out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path("logs"),
+    envs: Annotated[int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")] = 16,
+    threads: Annotated[int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")] = 0,
+    config: Annotated[Path | None, typer.Option(help="TOML file with tables [env] and [reward].")] = None,
+    epoch: Annotated[int | None, typer.Option(min=0, help="Start time in ns since 1970 instead of the clock: equal runs, equal bytes.")] = None,
+    display: Annotated[bool, typer.Option(help="Also write /joint_states and /coordlog/arm/NAME, for viewers.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Record episodes, one MCAP file each.
+
+    Without options: 10 episodes of the scripted expert at the table, into logs/. A second run adds to the first.
+
+    Examples:
+
+        coordlog record
+
+        coordlog record --scene shelf --episodes 512 --noise 0.15 --out logs/shelf
+
+        coordlog record --scene free --policy random --split test --json
+    """
+    from coordlog.record.recorder import Recorder
+    from coordlog.rollout import rollout
+    from coordlog.scripted import scripted, with_noise
+
+    env = make_env(scene, config=config, start=start, envs=min(envs, episodes), threads=threads)
+    actor, logged = with_noise(scripted(policy, env), env, sigma=noise, correlation=noise_correlation)
+    described = {"kind": "scripted", "name": policy, "checkpoint_sha256": "", "noise": logged}
+    done: list[Finished] = []
+    steps, began = 0, time.perf_counter()
+    with terminal.progress() as bar, terminal.interruptible() as interrupted:
+        task = bar.add_task(f"recording {scene}", total=episodes, note="")
+        with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
+            with closing(rollout(recorder, actor, range(episodes), seed=seed, split=split)) as loop:
+                for ids, _ in loop:
+                    steps += len(ids)
+                    bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")
+                    if interrupted:
+                        break
+        bar.update(task, completed=len(done))
+    summary = _summary(done, recorder, steps=steps, seconds=time.perf_counter() - began, wanted=episodes)
+    _show(summary, out=out, as_json=as_json)
+    if interrupted:
+        terminal.note(f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept")
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if summary["aborted"]:
+        terminal.note(f"{summary['aborted']} episodes diverged: they are marked aborted and end with their last sound state")
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _summary(done: list[Finished], recorder: Recorder, *, steps: int, seconds: float, wanted: int) -> dict[str, Any]:
+    """The figures of a run; rates are of the episodes that ended."""
+    ended = [item for item in done if not item.result.aborted]
+    scores = [-math.log(max(float(item.distance.sum()), NEAREST)) for item in ended]
+
+    def rate(hits: list[bool]) -> float | None:
+        return sum(hits) / len(ended) if ended else None
+
+    return {
+        "run": recorder.run,
+        "episodes": len(ended),
+        "wanted": wanted,
+        "aborted": len(done) - len(ended),
+        "success": rate([item.result.success for item in ended]),
+        "clean": rate([item.result.clean for item in ended]),
+        "collisions": rate([item.collided for item in ended]),
+        "falls": rate([item.fell for item in ended]),
+        "mean_score": sum(scores) / len(scores) if scores else None,
+        "steps": steps,
+        "seconds": seconds,
+        "steps_per_second": steps / seconds,
+        "megabytes": sum(item.path.stat().st_size for item in done) / 1e6,
+        "recording_us_per_step": recorder.seconds / max(steps, 1) * 1e6,
+        "files": [str(item.path) for item in sorted(done, key=lambda item: item.path)],
+    }
+
+
+def _show(summary: dict[str, Any], *, out: Path, as_json: bool) -> None:
+    if as_json:
+        terminal.print_json(summary)
+        return
+
+    def percent(name: str) -> str:
+        return "-" if summary[name] is None else f"{summary[name]:.1%}"
+
+    score = "-" if summary["mean_score"] is None else f"{summary['mean_score']:.2f}"
+    pairs = [
+        ("episodes", f"{summary['episodes']} of {summary['wanted']} in {out}/ (run {summary['run']})"),
+        ("success", percent("success")),
+        ("clean", f"{percent('clean')}   success without collision or fall"),
+        ("collisions", f"{percent('collisions')}   of episodes"),
+        ("falls", percent("falls")),
+        ("mean score", f"{score}   -ln(e₁ + e₂) at the last step"),
+        ("speed", f"{summary['steps_per_second']:,.0f} steps/s over {summary['steps']:,} steps"),
+        ("size", f"{summary['megabytes']:.1f} MB; recording cost {summary['recording_us_per_step']:.0f} µs/step"),
+    ]
+    terminal.facts(pairs)
+
