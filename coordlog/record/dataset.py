@@ -23,7 +23,8 @@ from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
 from coordlog.record.messages import decode_final, decode_steps
 from coordlog.record.metadata import ENV, EPISODE, RESULT, decode_layout, decode_result, require_version
-from coordlog.record.reader import Contents, File, contents, load, naming, probe, read_episode, require_order
+from coordlog.record.opening import File, load, naming
+from coordlog.record.reader import Contents, contents, probe, read_episode, require_order
 from coordlog.record.storage import PART
 from coordlog.spec import FINAL, STEP
 
@@ -166,8 +167,9 @@ class _Loaded:
     """A file's records, waiting to be decoded together with those of others."""
 
     def __init__(self, index: int, path: Path) -> None:
+        data = load(path)
         with naming(path):
-            found: Contents = contents(load(path))
+            found: Contents = contents(data)
             require_version(found.metadata.get(EPISODE, {}))
             self.layout, self.arms = decode_layout(found.metadata.get(ENV, {}))
             self.result: Result = decode_result(found.metadata.get(RESULT, {}))

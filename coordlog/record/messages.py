@@ -26,18 +26,18 @@ _COUNT_AT = 31 + 12  # where a Contacts record holds the length of its first seq
 _CONTACT_COLUMNS = tuple(name for name in CONTACT.names or () if name != "step")
 
 
-def log_times(start_time: int, time: Array) -> Array:
+def log_times(start_time: int, time: Array, *, after: int = -1) -> Array:
     """Log times [ns since the epoch] of simulated times [s].
 
     Raises:
-        SpecError: if the times are not finite, or do not increase by at least a nanosecond.
+        SpecError: if the times are not finite, or do not increase by at least a nanosecond, from `after` [ns] on.
     """
     if not np.isfinite(time).all():
         raise SpecError("time: expected finite seconds, got a value that is not")
     ns: Array = np.rint(time * NS).astype(np.int64) + start_time
-    if (np.diff(ns) <= 0).any():
-        row = int(np.flatnonzero(np.diff(ns) <= 0)[0])
-        raise SpecError(f"time: expected strictly increasing seconds, got {time[row]} and then {time[row + 1]}")
+    early = np.diff(ns, prepend=after) <= 0
+    if early.any():
+        raise SpecError(f"time: expected strictly increasing seconds, got {time[early][0]} too late")
     return ns.astype(np.uint64)
 
 
@@ -47,7 +47,7 @@ class Encoder:
     def __init__(self, header: Header, *, display: bool) -> None:
         self.layout, self.arms = header.layout, header.arms
         self.start_time: int = header.episode["start_time"]
-        self._display = display
+        self._display, self._last = display, -1
         self._channel = {topic: channel.id for topic, (_, channel) in topics(self.arms).items()}
         joints = header.env["joints"]
         self._names = tuple(joint["name"] for joint in joints)
@@ -57,7 +57,8 @@ class Encoder:
         """The batches of a block of steps; contacts are CONTACT rows sorted by step."""
         n = len(columns["time"])
         step = np.arange(first_step, first_step + n)
-        times = log_times(self.start_time, columns["time"])
+        times = log_times(self.start_time, columns["time"], after=self._last)
+        self._last = int(times[-1])
         batches = {STEP.topic: self._batch(STEP, times, step, {**columns, "step": step})}
         if len(contacts):
             batches[CONTACTS.topic] = self._contacts(contacts, first_step, times)
@@ -68,7 +69,8 @@ class Encoder:
     def final(self, step: int, columns: Columns) -> Batch:
         """The batch of the state after the last action; columns of one row."""
         steps = np.array([step])
-        return self._batch(FINAL, log_times(self.start_time, columns["time"]), steps, {**columns, "step": steps})
+        times = log_times(self.start_time, columns["time"], after=self._last)
+        return self._batch(FINAL, times, steps, {**columns, "step": steps})
 
     def path(self, path: Path) -> dict[str, Batch]:
         """The batches of a smoothed path."""

@@ -8,11 +8,7 @@ A file that is not a finished coordlog episode is refused in one sentence that s
 from __future__ import annotations
 
 import os
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +17,11 @@ from mcap.opcode import Opcode
 from coordlog.episode import Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import expand, split
-from coordlog.record.container import FOOTER, MAGIC, TAIL_SIZE, Span, unpack_attachment, unpack_definitions, unpack_metadata, walk
+from coordlog.record.container import MAGIC, TAIL_SIZE, unpack_attachment, unpack_definitions, unpack_metadata, walk
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result, require_version
-from coordlog.record.storage import translated
+from coordlog.record.opening import File, load, naming, no_marker, opened, require_coordlog, summary_start, verify_summary
 from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
-
-File = str | os.PathLike[str]
 
 _HEAD = 1 << 16  # enough for the opening metadata of any robot we know; more is read where it is not
 
@@ -65,7 +59,7 @@ def read_header(path: File) -> Header:
     Raises:
         FormatError: if the file is not a coordlog episode of a version this release reads.
     """
-    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+    with opened(path) as fd:
         return _header(fd)
 
 
@@ -86,7 +80,7 @@ def read_summary(path: File) -> Summary:
         TruncatedError: if there is no commit marker.
         FormatError: if the file is not a coordlog episode of a version this release reads.
     """
-    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+    with opened(path) as fd:
         header, size = _header(fd), os.fstat(fd).st_size
         start = summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
         summary = memoryview(os.pread(fd, size - start, start))
@@ -96,7 +90,7 @@ def read_summary(path: File) -> Summary:
             if length:
                 content = memoryview(os.pread(fd, length, offset))[9:]
                 return Summary(header, decode_result(unpack_metadata(content)[1]), size)
-        raise TruncatedError(_no_marker(size))
+        raise TruncatedError(no_marker(size))
 
 
 def probe(path: File) -> int:
@@ -106,7 +100,7 @@ def probe(path: File) -> int:
         TruncatedError: if it does not end as a finished file.
         FormatError: if it is not a coordlog episode of a version this release reads.
     """
-    with naming(path), translated(FilePath(path), "read"), _open(path) as fd:
+    with opened(path) as fd:
         size, head = os.fstat(fd).st_size, memoryview(os.pread(fd, 4096, 0))
         require_coordlog(head)
         summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
@@ -129,8 +123,9 @@ def read_episode(path: File, *, verify: bool = True) -> Episode:
         TruncatedError: if there is no commit marker.
         FormatError: if the file is foreign, damaged, or of a version this release does not read.
     """
+    data = load(path)
     with naming(path):
-        return decode(contents(load(path), verify=verify))
+        return decode(contents(data, verify=verify))
 
 
 def read_attachments(path: File) -> dict[str, bytes]:
@@ -139,25 +134,10 @@ def read_attachments(path: File) -> dict[str, bytes]:
     Raises:
         FormatError: if the file is not a coordlog episode, or an attachment is damaged.
     """
+    data = memoryview(load(path))
     with naming(path):
-        data = memoryview(load(path))
         found = [unpack_attachment(data[span.start : span.end]) for span in walk(data) if span.opcode == Opcode.ATTACHMENT]
     return dict(found)
-
-
-def load(path: File) -> bytes:
-    """All bytes of a coordlog file, finished or not.
-
-    Raises:
-        FormatError: if it is a folder, empty, not MCAP, or another program's MCAP.
-    """
-    with translated(FilePath(path), "read"), _open(path) as fd:
-        size = os.fstat(fd).st_size
-        data = os.pread(fd, size, 0)
-        while len(data) < size and (more := os.pread(fd, size - len(data), len(data))):
-            data += more
-    require_coordlog(data)
-    return data
 
 
 def contents(data: bytes, *, verify: bool = True) -> Contents:
@@ -221,74 +201,6 @@ def require_order(steps: Array, finals: Array, lengths: Array) -> None:
         raise FormatError(f"step: expected {wanted[row]}, got {steps[row]}")
 
 
-def require_coordlog(data: bytes | memoryview) -> None:
-    """Look at the first record of a file.
-
-    Raises:
-        FormatError: if it is empty, not MCAP, or another program's MCAP.
-        TruncatedError: if it ends within its first record.
-    """
-    if not data:
-        raise FormatError("the file is empty (0 bytes): not an episode")
-    if len(data) < len(MAGIC) and MAGIC.startswith(data):
-        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
-    if data[: len(MAGIC)] != MAGIC:
-        raise FormatError("not an MCAP file; expected an episode written by coordlog")
-    span = next(walk(data), Span(0, 0, 0))
-    if span.opcode == 0:
-        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
-    content = bytes(data[span.start : span.end])
-    if span.opcode != Opcode.HEADER or b"coordlog/" not in content:
-        text = content.decode("ascii", "replace").strip("\0")
-        printable = "".join(letter if letter.isprintable() else " " for letter in text).strip()
-        raise FormatError(f"an MCAP file, but not a coordlog episode: its header says '{printable}'")
-
-
-def summary_start(tail: bytes | memoryview, size: int) -> int:
-    """Where the data section ends and the summary starts, from the last TAIL_SIZE bytes of a file.
-
-    Raises:
-        TruncatedError: if the file does not end as a finished one.
-    """
-    if len(tail) == TAIL_SIZE and tail[FOOTER.size :] == MAGIC:
-        opcode, length, start, _, _ = FOOTER.unpack_from(tail)
-        if opcode == Opcode.FOOTER and length == FOOTER.size - 9 and len(MAGIC) <= start <= size - TAIL_SIZE:
-            return int(start)
-    raise TruncatedError(_no_marker(size))
-
-
-def verify_summary(summary: memoryview) -> None:
-    """Check the CRC of a summary section, given up to the end of the file.
-
-    Raises:
-        FormatError: if it differs.
-    """
-    crc = FOOTER.unpack_from(summary, len(summary) - TAIL_SIZE)[-1]
-    got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
-    if crc != got:
-        raise FormatError(f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog recover` rewrites the file")
-
-
-@contextmanager
-def naming(path: File) -> Iterator[None]:
-    """Put the file's name in front of what is wrong with it."""
-    try:
-        yield
-    except FormatError as error:
-        raise type(error)(f"{os.fspath(path)}: {error}") from None
-
-
-@contextmanager
-def _open(path: File) -> Iterator[int]:
-    if os.path.isdir(path):
-        raise FormatError("a folder, not an episode file; coordlog.open reads folders")
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        yield fd
-    finally:
-        os.close(fd)
-
-
 def _header(fd: int) -> Header:
     for size in (_HEAD, os.fstat(fd).st_size):
         data = memoryview(os.pread(fd, size, 0))
@@ -310,7 +222,3 @@ def _metadata_index(content: memoryview, name: str) -> tuple[int, int]:
     if bytes(content[20:]) != name.encode():
         return 0, 0
     return int.from_bytes(content[:8], "little"), int.from_bytes(content[8:16], "little")
-
-
-def _no_marker(size: int) -> str:
-    return f"ends after {size} bytes without its commit marker; recover what is complete with `coordlog recover`"

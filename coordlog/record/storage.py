@@ -39,15 +39,10 @@ class PartFile:
             StorageError: if NAME or NAME.part exists, or the folder cannot be written to.
         """
         self.path, self.part = path, path.with_name(path.name + PART)
-        self._refuse_existing(path)
-        self._refuse_existing(self.part)
+        refuse_existing(path)
+        refuse_existing(self.part)
         with translated(self.part, "create the file", "does the folder exist and allow writing?"):
             self._fd = os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-
-    @staticmethod
-    def _refuse_existing(path: Path) -> None:
-        if os.path.lexists(path):
-            raise StorageError(f"{path}: the file exists and is not overwritten; choose another name or move it away")
 
     def append(self, data: bytes) -> None:
         """Hand all bytes to the operating system: they survive a crash of this process.
@@ -63,24 +58,13 @@ class PartFile:
     def publish(self) -> None:
         """Make the content durable, then give the file its name; an existing file is left alone.
 
-        The name is made with a hard link, which cannot replace anything. Where there are no hard links an empty file
-        reserves the name first, and a crash at that very moment leaves it empty beside the intact part.
-
         Raises:
             StorageError: if the name is taken by now, or the file system refuses; NAME.part stays.
         """
         with self._kept("publish the file"):
             os.fsync(self._fd)
             self.close()
-            try:
-                os.link(self.part, self.path)
-                os.unlink(self.part)
-            except OSError as error:
-                if error.errno not in _NO_HARD_LINKS:
-                    raise
-                os.close(os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC))
-                os.replace(self.part, self.path)
-            _sync_folder(self.path.parent)
+            move_new(self.part, self.path)
 
     def close(self) -> None:
         """Let go of the file; NAME.part stays as it is. Closing twice is allowed."""
@@ -104,8 +88,30 @@ class PartFile:
             raise
 
 
-def _sync_folder(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+def refuse_existing(path: Path) -> None:
+    """Raise a StorageError if anything has this name."""
+    if os.path.lexists(path):
+        raise StorageError(f"{path}: the file exists and is not overwritten; choose another name or move it away")
+
+
+def move_new(source: Path, target: Path) -> None:
+    """Rename within a folder, durably, and never over an existing file.
+
+    The name is made with a hard link, which cannot replace anything. Where there are no hard links an empty file reserves the
+    name first, and a crash at that very moment leaves it empty beside the intact source.
+
+    Raises:
+        OSError: if the target exists or the file system refuses; the source stays.
+    """
+    try:
+        os.link(source, target)
+        os.unlink(source)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC))
+        os.replace(source, target)
+    fd = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(fd)
     finally:

@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
-from synthetic import ATTACHMENTS, make_episode
+from hypothesis import settings
+from synthetic import ATTACHMENTS, TINY, make_episode, make_header
 
 from coordlog.record.writer import write_episode
+
+settings.register_profile("coordlog", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("coordlog")
 
 
 @pytest.fixture
@@ -21,4 +25,17 @@ def file(episode, tmp_path):
     """That episode as a file without display topics."""
     path = tmp_path / "episode.mcap"
     write_episode(path, episode, attachments=ATTACHMENTS, display=False)
+    return path
+
+
+@pytest.fixture
+def tiny(rng):
+    """30 steps of the smallest robot: two chunks of steps, in a file small enough to be damaged at every byte."""
+    return make_episode(rng, length=30, layout=TINY, header=make_header(TINY, goals=[[0, 0, 0]]))
+
+
+@pytest.fixture
+def tiny_file(tiny, tmp_path):
+    path = tmp_path / "tiny.mcap"
+    write_episode(path, tiny, attachments={"model.xml.zst": b"<mujoco/>"}, display=False)
     return path
