@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import record, scenes
+from coordlog.commands import check, info, record, recover, scenes
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.version import __version__
@@ -26,6 +26,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command("record")(record.record)
+app.command("check")(check.check)
+app.command("info")(info.info)
+app.command("recover")(recover.recover)
 app.command("scenes")(scenes.scenes)
 
 
@@ -36,7 +39,9 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def coordlog(version: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)] = False) -> None:
+def coordlog(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)] = False,
+) -> None:
     """Robot episodes that are never lost, never silently wrong, and always replayable."""
 
 

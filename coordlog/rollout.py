@@ -27,7 +27,9 @@ class Policy(Protocol):
 class Env(Protocol):
     """What the loop needs of an environment; a recorder is one too."""
 
-    n: int
+    @property
+    def n(self) -> int:
+        """Number of simulations."""
 
     @property
     def state(self) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +33,7 @@ def record(
     envs: Annotated[int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")] = 16,
     threads: Annotated[int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")] = 0,
     config: Annotated[Path | None, typer.Option(help="TOML file with tables [env] and [reward].")] = None,
-    epoch: Annotated[int | None, typer.Option(min=0, help="Start time in ns since 1970 instead of the clock: equal runs, equal bytes.")] = None,
+    epoch: Annotated[int | None, typer.Option(min=0, help="Start time [ns since 1970]; equal runs then write equal bytes.")] = None,
     display: Annotated[bool, typer.Option(help="Also write /joint_states and /coordlog/arm/NAME, for viewers.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -62,12 +61,11 @@ def record(
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {scene}", total=episodes, note="")
         with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
-            with closing(rollout(recorder, actor, range(episodes), seed=seed, split=split)) as loop:
-                for ids, _ in loop:
-                    steps += len(ids)
-                    bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")
-                    if interrupted:
-                        break
+            for ids, _ in rollout(recorder, actor, range(episodes), seed=seed, split=split):
+                steps += len(ids)
+                bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")
+                if interrupted:
+                    break
         bar.update(task, completed=len(done))
     summary = _summary(done, recorder, steps=steps, seconds=time.perf_counter() - began, wanted=episodes)
     _show(summary, out=out, as_json=as_json)
@@ -126,4 +124,3 @@ def _show(summary: dict[str, Any], *, out: Path, as_json: bool) -> None:
         ("size", f"{summary['megabytes']:.1f} MB; recording cost {summary['recording_us_per_step']:.0f} µs/step"),
     ]
     terminal.facts(pairs)
-

@@ -31,8 +31,10 @@ def scenes(
     if as_json:
         terminal.print_json(rows)
         return
-    columns = ("scene", "robot", "joints", "arms", "obstacles", "goals", "state", "about")
-    terminal.table(columns, [[row[name] for name in columns] for row in rows], right=("joints", "state"))
+    for row in rows:
+        about = f"{row['robot']}, {row['joints']} joints in the action, {row['state']} numbers in the state, arms {', '.join(row['arms'])}"
+        obstacles = [("obstacle" if i == 0 else "", text) for i, text in enumerate(row["obstacles"])]
+        terminal.facts([("robot", about), ("goals", row["goals"]), *obstacles], title=f"\n{row['scene']}: {row['about']}")
 
 
 def _row(name: str) -> dict[str, Any]:
@@ -43,14 +45,14 @@ def _row(name: str) -> dict[str, Any]:
     panels = [f"{panel.name} at {_point(panel.centre)}, half extents {_point(panel.half)}" for panel in scene.panels]
     low, high = scene.sphere_radius
     spheres = [f"{scene.spheres} spheres, radius {low}-{high} m, in {_box(scene.sphere_box)}"] if scene.spheres else []
-    goals = "palms of a random posture" if scene.object_box is None else f"±{scene.palm_offset} m beside a point in {_box(scene.object_box)}"
+    beside = f"{scene.palm_offset} m to the left and right of a point in {_box(scene.object_box)}" if scene.object_box else ""
     return {
         "scene": name,
         "robot": scene.robot.name,
         "joints": layout.n_u,
-        "arms": " ".join(arm.name for arm in scene.robot.arms),
-        "obstacles": "\n".join(panels + spheres) or "none",
-        "goals": goals,
+        "arms": [arm.name for arm in scene.robot.arms],
+        "obstacles": panels + spheres,
+        "goals": beside or "where a random posture puts the palms",
         "state": layout.n_x,
         "about": scene.doc,
     }

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import zstandard
 
-import coordlog
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import unknown
 from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
@@ -21,6 +20,7 @@ from coordlog.sim.scene import Scene, compose
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import Layout
+from coordlog.version import __version__
 
 SETTLE_SECONDS = 4.0
 """The start pose is simulated this long, so that an episode starts at rest."""
@@ -56,7 +56,7 @@ class BatchEnv:
         config, reward = config or EnvConfig(), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
-        self.scene, self.start, self.n = scene, start, n
+        self.scene, self.start = scene, start
         self.text = compose(scene, config)
         model = compile_model(self.text)
         self.task = Task(scene.robot, model, config, reward)
@@ -67,6 +67,11 @@ class BatchEnv:
         self.draw = Draw(scene, model, config, standing=standing)
         self._packed: dict[str, bytes] = {}
         self._object = int(model.body("object").mocapid[0]) if scene.object_half is not None else None
+
+    @property
+    def n(self) -> int:
+        """Number of simulations."""
+        return self.simulation.n
 
     @property
     def state(self) -> Array:
@@ -125,7 +130,7 @@ class BatchEnv:
         """The `coordlog.env` record of every episode of this environment (`episode.Header.env`)."""
         model, robot = self.task.model, self.scene.robot
         return {
-            "coordlog_version": coordlog.__version__,
+            "coordlog_version": __version__,
             "mujoco_version": mujoco.__version__,
             "architecture": platform.machine(),
             "robot": robot.to_json(),

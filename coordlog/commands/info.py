@@ -1,0 +1,78 @@
+"""coordlog info: what is in these files?"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.errors import EXIT_PARTIAL, FormatError
+
+if TYPE_CHECKING:
+    from coordlog.record.info import Row, Summary
+
+MANY = 40
+"""Longer tables are shortened unless --all asks for every row."""
+
+
+def info(
+    path: Annotated[list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")],
+    every: Annotated[bool, typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print rows and totals as JSON.")] = False,
+) -> None:
+    """Show what episodes there are; reads the ends of each file, not its messages.
+
+    Examples:
+
+        coordlog info logs/
+
+        coordlog info logs/table-train-s0-000003-1f2e3d4c.mcap --json
+    """
+    from coordlog.record.info import summarise
+
+    summary = summarise(path)
+    if summary.skipped and not summary.rows and all(item.is_file() for item in path):
+        raise FormatError(summary.skipped[0].reason)
+    if as_json:
+        terminal.print_json(summary.to_json())
+    else:
+        _show(summary, every=every)
+    if summary.skipped:
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _show(summary: Summary, *, every: bool) -> None:
+    shown = summary.rows if every else summary.rows[:MANY]
+    columns = ("episode", "scene", "policy", "steps", "s", "return per arm", "success", "clean", "end", "size")
+    if shown:
+        terminal.table(columns, [_cells(row) for row in shown], right=("steps", "s", "size"))
+    if len(shown) < len(summary.rows):
+        terminal.note(f"{len(summary.rows) - len(shown)} more; --all shows them")
+    totals = summary.totals
+    if totals.episodes:
+        share = f"success {totals.success / totals.episodes:.1%}, clean {totals.clean / totals.episodes:.1%}, aborted {totals.aborted}"
+        scenes = ", ".join(f"{count} {name}" for name, count in totals.scenes.items())
+        size = terminal.megabytes(totals.size)
+        line = f"{totals.episodes} episodes ({scenes}), {totals.steps:,} steps, {totals.duration:,.0f} s simulated, {size}; {share}"
+        terminal.out.print(line, highlight=False)
+    for row in shown:
+        if row.parents:
+            terminal.out.print(
+                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}", highlight=False
+            )
+    for item in summary.skipped:
+        terminal.note(f"skipped: {item.reason}")
+    for part in summary.parts:
+        terminal.note(f"unfinished: {part}; `coordlog recover` makes an episode of it")
+
+
+def _cells(row: Row) -> list[object]:
+    returns = "  ".join(f"{value:.1f}" if math.isfinite(value) else str(value) for value in row.returns.values())
+    end = row.aborted or ("terminated" if row.terminated else "truncated" if row.truncated else "-")
+    yes = {True: "yes", False: "no"}
+    name = Path(row.path).name
+    size = terminal.megabytes(row.size)
+    return [name, row.scene, row.policy, row.length, f"{row.duration:.1f}", returns, yes[row.success], yes[row.clean], end, size]
