@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from functools import cache
 
 import numpy as np
 
@@ -27,21 +27,31 @@ def support_margin(point: Array, corners: Array) -> Array:
     Returns:
         Margin, shape (...). Outside the polygon it is negative (a bound on the distance, not the distance itself).
     """
-    low = corners[..., 2] < CONTACT_HEIGHT
-    x = corners[..., 0] - point[..., 0, None]
-    y = corners[..., 1] - point[..., 1, None]
-    first, second = (list(side) for side in zip(*combinations(range(corners.shape[-2]), 2), strict=True))
-    nx, ny = y[..., second] - y[..., first], x[..., first] - x[..., second]
+    # Corners first and contiguous: the reductions below run over the first axis, several times faster than over the last.
+    x, y, z = np.ascontiguousarray(np.moveaxis(corners, (-1, -2), (0, 1)))  # (C, ...) each
+    x, y = x - point[..., 0], y - point[..., 1]
+    low = z < CONTACT_HEIGHT
+    if not low.all():  # those in the air move to one on the floor, which leaves the hull of those on the floor as it is
+        standing = low.argmax(axis=0)[None]
+        x, y = (np.where(low, side, np.take_along_axis(side, standing, axis=0)) for side in (x, y))
+    first, second = _pairs(len(x))
+    nx, ny = y[second] - y[first], x[first] - x[second]  # (P, ...)
     length = np.sqrt(nx * nx + ny * ny)
-    usable = low[..., first] & low[..., second] & (length > 1e-6)
-    scale = np.where(usable, 1.0 / np.where(length > 1e-6, length, 1.0), 0.0)
-    nx, ny = (nx * scale)[..., None], (ny * scale)[..., None]
-    along = np.where(low[..., None, :], nx * x[..., None, :] + ny * y[..., None, :], np.nan)
-    with np.errstate(all="ignore"):
-        farthest, nearest = np.fmax.reduce(along, axis=-1), np.fmin.reduce(along, axis=-1)
-    width = np.where(usable, farthest - nearest, np.inf).min(axis=-1)
-    margin = np.where(usable, np.minimum(farthest, -nearest), np.inf).min(axis=-1)
-    return np.where(usable.any(axis=-1) & (width > 1e-6), margin, -np.inf)
+    usable = length > 1e-6
+    scale = 1.0 / np.where(usable, length, np.inf)
+    along = (nx * scale) * x[:, None]  # (C, P, ...)
+    along += (ny * scale) * y[:, None]
+    farthest, nearest = along.max(axis=0), along.min(axis=0)
+    width = np.where(usable, farthest - nearest, np.inf).min(axis=0)
+    margin = np.where(usable, np.minimum(farthest, -nearest), np.inf).min(axis=0)
+    return np.where((width > 1e-6) & (width < np.inf), margin, -np.inf)
+
+
+@cache
+def _pairs(count: int) -> tuple[Array, Array]:
+    """Indices of the first and of the second of all pairs of `count` things."""
+    first, second = np.triu_indices(count, k=1)
+    return first, second
 
 
 def zero_moment_point(com: Array, acceleration: Array) -> Array:

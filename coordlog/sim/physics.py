@@ -1,13 +1,14 @@
 """N simulations stepped together, with every contact seen at every physics substep.
 
-The batch is persistent: after a substep with `stage=VEL`, contacts and sensors describe the state just reached and the next substep
-goes on from them, so looking costs nothing. Whether anything but a sole on the floor touches is read off two counters: sole contacts
-have four dimensions and all others three (sim/scene.py), so the number of contact rows tells them apart.
+A control step is one call that records counters at every substep. Whether anything but a sole on the floor touches is read off them:
+sole contacts have four dimensions and all others three (sim/scene.py), so the number of contact rows tells them apart. Only where
+something touches are the contacts themselves computed again, from the recorded positions, to the same bits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -23,6 +24,15 @@ CONTACT_ROWS = {mujoco.mjtCone.mjCONE_PYRAMIDAL: (6, 4), mujoco.mjtCone.mjCONE_E
 """Constraint rows of a contact of four and of three dimensions."""
 DIVERGED = 1e10
 """MuJoCo's mjMAXVAL: coordinates beyond it are no physics any more."""
+COUNTERS = ("ncon", "nefc", "ne", "nf", "nl")
+"""Contacts, constraint rows, and the rows of equalities, dry friction and joint limits among them."""
+
+
+def silence() -> None:
+    """Keep MuJoCo from writing warnings to the console and to a file in the working directory: what diverges is a flag here."""
+    log = mujoco.MjLogConfig.get()
+    log.logto_console = log.logto_file = False
+    mujoco.MjLogConfig.set(log)
 
 
 def compile_model(xml: str) -> mujoco.MjModel:
@@ -54,8 +64,10 @@ class Physics:
             threads: Threads to step on; 0 for all cores.
             models: Models of the same layout, one per simulation, that differ in constants (a log's own); None for `model`.
         """
+        silence()
         self.model = model
-        self._batch = Batch(model, n, threads, persistent=True)
+        self._batch = Batch(model, n, threads)
+        self._own = models is not None
         if models is not None:
             self._batch.set_models(list(models))
         self.qpos: Array = self._batch.bind("qpos")  # (n, n_q)
@@ -63,10 +75,13 @@ class Physics:
         self.mocap_pos: Array = self._batch.bind("mocap_pos")  # (n, n_mocap, 3)
         self.sensors: Array = self._batch.bind("sensordata")  # (n, n_sensordata), of the present state
         self.ctrl: Array = self._batch.bind("ctrl")  # (n, n_servos)
-        self._counts = tuple(self._batch.bind(name) for name in ("ncon", "nefc", "ne", "nf", "nl"))
+        self._time = self._batch.bind("time")
+        self._counts = tuple(self._batch.bind(name) for name in COUNTERS)
         self._sole_rows, self._other_rows = CONTACT_ROWS[mujoco.mjtCone(model.opt.cone)]
         self._pairs = [{int(a), int(b)} for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
         self._scratch = mujoco.MjData(model)
+        self._scratch_model = copy(model)
+        self._records = self._buffers(1)
         self._failed = np.zeros(n, dtype=bool)
 
     @property
@@ -82,46 +97,87 @@ class Physics:
         sizes = self._batch.expand("geom_size")
         sizes[np.asarray(ids)[:, None], list(geoms), 0] = radii
         self._batch.set_const(ids)
+        self._own = True
 
     def refresh(self, ids: Array) -> None:
         """Make sensors and contacts those of the states that stand in `rows[ids]`."""
-        self._batch.forward(ids, stage=CURRENT)
         self._failed[ids] = False
+        self._look(ids)
 
     def touching(self, ids: Array) -> Array:
         """Contacts other than sole on floor in the present state, a count per simulation."""
-        contacts, rows, equality, friction, limits = (count[ids] for count in self._counts)
+        return self._others(*(count[ids] for count in self._counts))
+
+    def _others(self, contacts: Array, rows: Array, equality: Array, friction: Array, limits: Array) -> Array:
         rows = rows - equality - friction - limits
         return np.asarray((self._sole_rows * contacts - rows) // (self._sole_rows - self._other_rows))
 
     def advance(self, ids: Array, before: Array, after: Array, *, substeps: int) -> tuple[Array, list[Array]]:
-        """One control step: servo targets move linearly from `before` to `after`, (len(ids), n_u each).
+        """One control step: servo targets move linearly from `before` to `after`, (len(ids), n_servos) each.
 
         Returns:
             collision: (len(ids),) bool, any contact other than sole on floor at any substep.
             contacts: per simulation CONTACT rows (step 0), the deepest of each geom pair over the substeps.
         """
-        collision = np.zeros(len(ids), dtype=bool)
-        seen: list[list[Array]] = [[] for _ in range(len(ids))]
-        for substep in range(substeps):
-            self.ctrl[ids] = before + (after - before) * ((substep + 1) / substeps)
-            self._step(ids)
-            touching = self.touching(ids) > 0
-            if touching.any():
-                collision |= touching
-                for i in np.flatnonzero(touching):
-                    seen[i].append(self.contacts(int(ids[i]), substep=substep))
-        return collision, [deepest(rows) for rows in seen]
+        records = self._run(ids, before, after, substeps)
+        # A record made after a substep counts the contacts of the state before it: the first is last step's, the last is missing.
+        touching = np.empty((len(ids), substeps), dtype=np.int64)
+        touching[:, :-1] = self._others(*(records[name][:, 1:] for name in COUNTERS))
+        touching[:, -1] = self.touching(ids)
+        touching[self.diverged(ids)] = 0
+        collision = np.asarray(touching.any(axis=1))
+        contacts = [NONE] * len(ids)
+        for i in np.flatnonzero(collision):
+            contacts[i] = self._touched(int(ids[i]), records["qpos"][i], np.flatnonzero(touching[i]))
+        return collision, contacts
 
-    def _step(self, ids: Array) -> None:
+    def _run(self, ids: Array, before: Array, after: Array, substeps: int) -> dict[str, Array]:
+        """Step with servo targets from `before` to `after`; counters and qpos after every substep, (len(ids), substeps, …)."""
+        if self._records["qpos"].shape[1] != substeps:
+            self._records = self._buffers(substeps)
+        records = {name: buffer[: len(ids)] for name, buffer in self._records.items()}
+        ctrl = records.pop("ctrl")
+        share = (np.arange(substeps) + 1.0) / substeps
+        np.multiply((after - before)[:, None], share[:, None], out=ctrl)
+        ctrl += before[:, None]
+        end = self._time[ids] + (substeps - 0.5) * self.model.opt.timestep
         try:
-            self._batch.step(ids, stage=CURRENT)
+            self._batch.rollout(substeps, control=ctrl, record=tuple(records), ids=ids, out=records)
         except BatchError as error:  # those simulations kept their state; the others were stepped
             self._failed[error.ids] = True
+        self._failed[ids] |= ~(self._time[ids] > end)  # MuJoCo gave up under way
+        self._look(ids)
+        return records
 
-    def contacts(self, sim: int, *, substep: int = 0) -> Array:
-        """Present contacts of one simulation other than sole on floor, as CONTACT rows."""
-        data = self._batch.get_data(sim, self._scratch)
+    def _look(self, ids: Array) -> None:
+        try:
+            self._batch.forward(ids, stage=CURRENT)
+        except BatchError as error:
+            self._failed[error.ids] = True
+        fine = (np.abs(self.qpos[ids]) < DIVERGED).all(axis=1) & (np.abs(self.qvel[ids]) < DIVERGED).all(axis=1)
+        self._failed[ids] |= ~fine
+
+    def _buffers(self, substeps: int) -> dict[str, Array]:
+        """What goes into a control step and is recorded in it; allocated once, because fresh pages cost more than the arithmetic."""
+        n, model = len(self.qpos), self.model
+        counters: dict[str, Array] = {name: np.zeros((n, substeps), dtype=np.int32) for name in COUNTERS}
+        return {**counters, "qpos": np.zeros((n, substeps, model.nq)), "ctrl": np.zeros((n, substeps, model.nu))}
+
+    def _touched(self, sim: int, qpos: Array, substeps: Array) -> Array:
+        """Contacts of one simulation at some substeps, the deepest of each pair, from qpos (all substeps, n_q)."""
+        model = self._batch.get_model(sim, self._scratch_model) if self._own else self.model
+        mujoco.mj_setState(model, self._scratch, self.rows[sim], STATE)
+        rows = []
+        for substep in substeps:
+            self._scratch.qpos[:] = qpos[substep]
+            rows.append(self._contacts(model, int(substep)))
+        return deepest(rows)
+
+    def _contacts(self, model: mujoco.MjModel, substep: int) -> Array:
+        """Contacts other than sole on floor at the scratch data's positions, as CONTACT rows."""
+        data = self._scratch
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
         pairs = np.sort(data.contact.geom, axis=1)
         keep = [i for i, pair in enumerate(pairs) if {int(pair[0]), int(pair[1])} not in self._pairs]
         rows = np.zeros(len(keep), dtype=CONTACT)
@@ -132,13 +188,15 @@ class Physics:
         return rows
 
     def diverged(self, ids: Array) -> Array:
-        """Simulations whose state is no number, or beyond all bounds, (len(ids),) bool."""
-        fine = (np.abs(self.qpos[ids]) < DIVERGED).all(axis=1) & (np.abs(self.qvel[ids]) < DIVERGED).all(axis=1)
-        return np.asarray(~fine | self._failed[ids])
+        """Simulations whose last call left no number, one beyond all bounds, or an error of MuJoCo's, (len(ids),) bool."""
+        return np.asarray(self._failed[ids])
 
     def model_of(self, sim: int) -> mujoco.MjModel:
         """The model one simulation runs on, its own sphere sizes included."""
         return self._batch.get_model(sim)
+
+
+NONE: Array = np.zeros(0, dtype=CONTACT)
 
 
 def deepest(rows: Sequence[Array]) -> Array:

@@ -64,8 +64,9 @@ class Simulation:
         self.radii[ids] = radii
         self._velocity[ids] = 0.0
         self._target[ids] = self.physics.ctrl[ids]
-        self._com_velocity[ids] = self.task.com_velocity(self.physics.sensors[ids])
-        self._observe(ids)
+        sensors = self.physics.sensors[ids]
+        self._com_velocity[ids] = self.task.com_velocity(sensors)
+        self._observe(ids, sensors)
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance some simulations by one control period.
@@ -83,11 +84,12 @@ class Simulation:
         self._velocity[ids], self._target[ids] = velocity, after
         collision, contacts = self.physics.advance(ids, before, after, substeps=task.substeps)
         self.steps[ids] += 1
-        self._observe(ids)
-        return self._outcome(ids, collision, contacts)
+        sensors = self.physics.sensors[ids]
+        self._observe(ids, sensors)
+        return self._outcome(ids, sensors, collision, contacts)
 
-    def _outcome(self, ids: Array, collision: Array, contacts: list[Array]) -> Outcome:
-        task, sensors = self.task, self.physics.sensors[ids]
+    def _outcome(self, ids: Array, sensors: Array, collision: Array, contacts: list[Array]) -> Outcome:
+        task = self.task
         com_velocity = task.com_velocity(sensors)
         acceleration = (com_velocity - self._com_velocity[ids]) / task.config.control_period
         self._com_velocity[ids] = com_velocity
@@ -99,8 +101,6 @@ class Simulation:
         earned = reward.rewards(distance, flags, task.reward)
         return Outcome(earned, distance, *flags, terminated, truncated, self.physics.diverged(ids), contacts)
 
-    def _observe(self, ids: Array) -> None:
+    def _observe(self, ids: Array, sensors: Array) -> None:
         physics = self.physics
-        self.state[ids] = self.task.state(
-            physics.qpos[ids], physics.qvel[ids], physics.sensors[ids], physics.mocap_pos[ids], self.radii[ids]
-        )
+        self.state[ids] = self.task.state(physics.qpos[ids], physics.qvel[ids], sensors, physics.mocap_pos[ids], self.radii[ids])
