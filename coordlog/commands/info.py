@@ -35,7 +35,7 @@ def info(
 
     summary = summarise(path)
     if summary.skipped and not summary.rows and all(item.is_file() for item in path):
-        raise FormatError(summary.skipped[0].reason)
+        raise FormatError(f"{summary.skipped[0].path}: {summary.skipped[0].reason}")
     if as_json:
         terminal.print_json(summary.to_json())
     else:
@@ -64,7 +64,7 @@ def _show(summary: Summary, *, every: bool) -> None:
                 f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}", highlight=False
             )
     for item in summary.skipped:
-        terminal.note(f"skipped: {item.reason}")
+        terminal.note(f"skipped: {item.path}: {item.reason}")
     for part in summary.parts:
         terminal.note(f"unfinished: {part}; `coordlog recover` makes an episode of it")
 
