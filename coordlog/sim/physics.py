@@ -78,7 +78,8 @@ class Physics:
         self._time = self._batch.bind("time")
         self._counts = tuple(self._batch.bind(name) for name in COUNTERS)
         self._sole_rows, self._other_rows = CONTACT_ROWS[mujoco.mjtCone(model.opt.cone)]
-        self._pairs = [{int(a), int(b)} for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+        pairs = np.stack([model.pair_geom1, model.pair_geom2])
+        self._pairs = pairs.min(axis=0) * model.ngeom + pairs.max(axis=0)  # sole on floor
         self._scratch = mujoco.MjData(model)
         self._scratch_model = copy(model)
         self._records = self._buffers(1)
@@ -166,25 +167,25 @@ class Physics:
     def _touched(self, sim: int, qpos: Array, substeps: Array) -> Array:
         """Contacts of one simulation at some substeps, the deepest of each pair, from qpos (all substeps, n_q)."""
         model = self._batch.get_model(sim, self._scratch_model) if self._own else self.model
-        mujoco.mj_setState(model, self._scratch, self.rows[sim], STATE)
-        rows = []
-        for substep in substeps:
-            self._scratch.qpos[:] = qpos[substep]
-            rows.append(self._contacts(model, int(substep)))
-        return deepest(rows)
-
-    def _contacts(self, model: mujoco.MjModel, substep: int) -> Array:
-        """Contacts other than sole on floor at the scratch data's positions, as CONTACT rows."""
         data = self._scratch
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        pairs = np.sort(data.contact.geom, axis=1)
-        keep = [i for i, pair in enumerate(pairs) if {int(pair[0]), int(pair[1])} not in self._pairs]
-        rows = np.zeros(len(keep), dtype=CONTACT)
-        rows["substep"] = substep
-        rows["geom1"], rows["geom2"] = pairs[keep, 0], pairs[keep, 1]
-        rows["depth"] = -data.contact.dist[keep]
-        rows["x"], rows["y"], rows["z"] = data.contact.pos[keep].T
+        mujoco.mj_setState(model, data, self.rows[sim], STATE)
+        found = []
+        for substep in substeps:
+            data.qpos[:] = qpos[substep]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            contact = data.contact
+            found.append((np.full(data.ncon, substep), contact.geom.copy(), contact.dist.copy(), contact.pos.copy()))
+        return deepest(self._rows(*(np.concatenate(part) for part in zip(*found, strict=True))))
+
+    def _rows(self, substep: Array, geoms: Array, distance: Array, position: Array) -> Array:
+        """CONTACT rows of the contacts other than sole on floor."""
+        first, second = geoms.min(axis=1), geoms.max(axis=1)
+        keep = ~np.isin(first * self.model.ngeom + second, self._pairs)
+        rows = np.zeros(int(keep.sum()), dtype=CONTACT)
+        rows["substep"], rows["geom1"], rows["geom2"] = substep[keep], first[keep], second[keep]
+        rows["depth"] = -distance[keep]
+        rows["x"], rows["y"], rows["z"] = position[keep].T
         return rows
 
     def diverged(self, ids: Array) -> Array:
@@ -199,13 +200,9 @@ class Physics:
 NONE: Array = np.zeros(0, dtype=CONTACT)
 
 
-def deepest(rows: Sequence[Array]) -> Array:
-    """Of all contacts of a control step, per geom pair the deepest (the first of equals), by geom ids."""
-    if not rows:
-        return np.zeros(0, dtype=CONTACT)
-    every = np.concatenate(rows)
-    order = np.lexsort((every["substep"], -every["depth"], every["geom2"], every["geom1"]))
-    every = every[order]
-    first = np.ones(len(every), dtype=bool)
-    first[1:] = (every["geom1"][1:] != every["geom1"][:-1]) | (every["geom2"][1:] != every["geom2"][:-1])
-    return np.asarray(every[first])
+def deepest(rows: Array) -> Array:
+    """Of all contacts of a control step, per geom pair the deepest (the first of equals), by geom ids; CONTACT rows in and out."""
+    rows = rows[np.lexsort((rows["substep"], -rows["depth"], rows["geom2"], rows["geom1"]))]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = (rows["geom1"][1:] != rows["geom1"][:-1]) | (rows["geom2"][1:] != rows["geom2"][:-1])
+    return np.asarray(rows[first])
