@@ -159,9 +159,10 @@ def _pack(content: bytes) -> bytes:
 
 def hinges(model: mujoco.MjModel) -> list[Json]:
     """Name and addresses of every joint of one degree of freedom, in model order."""
-    joints = (model.joint(i) for i in range(model.njnt))
-    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    return [{"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])} for joint in joints if joint.type[0] in kinds]
+    # MuJoCo's enumerators equal plain ints only: an np.int32 is never `in` a tuple of them.
+    kinds = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
+    joints = (model.joint(int(i)) for i in np.flatnonzero(np.isin(model.jnt_type, kinds)))
+    return [{"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])} for joint in joints]
 
 
 def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
