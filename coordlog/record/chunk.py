@@ -87,9 +87,10 @@ def decode(codec: Codec, records: Sequence[bytes | memoryview]) -> tuple[Array, 
     """
     dtype, data = _record_dtype(codec), b"".join(records)
     wanted = dtype.itemsize - RECORD_HEAD.size
-    rows = np.frombuffer(data, dtype) if len(data) == dtype.itemsize * len(records) else np.empty(0, dtype)
-    if len(rows) != len(records) or (rows["length"] != wanted).any():
-        got = next(len(record) for record in records if len(record) != dtype.itemsize) - RECORD_HEAD.size
+    others = set(map(len, records)) - {dtype.itemsize}
+    rows = np.frombuffer(b"" if others else data, dtype)
+    if others or (rows["length"] != wanted).any():
+        got = next(iter(others)) - RECORD_HEAD.size if others else rows["length"].max()
         raise FormatError(f"{codec.name}: expected messages of {wanted} bytes for this robot, got one of {got}")
     return rows["log_time"], codec.decode(rows["payload"])
 

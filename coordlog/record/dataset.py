@@ -61,9 +61,13 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
     for path in map(Path, given):
         if not path.exists():
             raise StorageError(f"{path}: no such file or folder")
-        paths += sorted(path.rglob("*" + SUFFIX)) if path.is_dir() else [path]
-        parts += sorted(path.rglob("*" + SUFFIX + PART)) if path.is_dir() else []
+        paths += _below(path, SUFFIX) if path.is_dir() else [path]
+        parts += _below(path, SUFFIX + PART) if path.is_dir() else []
     return Files(tuple(paths), tuple(parts))
+
+
+def _below(folder: Path, suffix: str) -> list[Path]:
+    return sorted(path for path in folder.rglob("*" + suffix) if not path.is_dir())
 
 
 def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> Dataset:

@@ -37,7 +37,7 @@ def log_times(start_time: int, time: Array, *, after: int = -1) -> Array:
     ns: Array = np.rint(time * NS).astype(np.int64) + start_time
     early = np.diff(ns, prepend=after) <= 0
     if early.any():
-        raise SpecError(f"time: expected strictly increasing seconds, got {time[early][0]} too late")
+        raise SpecError(f"time: expected strictly increasing seconds, got {time[early][0]} after one that is not smaller")
     return ns.astype(np.uint64)
 
 

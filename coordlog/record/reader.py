@@ -169,9 +169,10 @@ def decode(found: Contents) -> Episode:
     Raises:
         FormatError: if messages are missing, of another size, or not in order.
     """
+    header = decode_header(found.metadata)
     if RESULT not in found.metadata:
         raise TruncatedError("ends without its commit marker; recover what is complete with `coordlog recover`")
-    header, result = decode_header(found.metadata), decode_result(found.metadata[RESULT])
+    result = decode_result(found.metadata[RESULT])
     layout, messages = header.layout, found.messages
     steps = decode_steps(messages.get(STEP.topic, []), layout)
     final = decode_final(messages.get(FINAL.topic, []), layout)

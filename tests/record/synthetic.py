@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from coordlog.episode import CONTACT, INITIAL_STATE, MODEL_XML, Episode, Header, Path, Result
+from coordlog.errors import FormatError
 from coordlog.spec import SCHEMA_VERSION, Layout
 
 HUMANOID = Layout(n_q=34, n_v=33, n_x=25, n_u=13, k=2)
@@ -57,7 +58,7 @@ def make_header(layout=HUMANOID, *, start_time=START, **episode):
             "robot": {"name": "synthetic"},
             "joints": [{"name": f"joint_{i}", "qpos": layout.n_q - joints + i, "qvel": layout.n_v - joints + i} for i in range(joints)],
             "actuators": ["a"] * layout.n_u,
-            "geoms": ["floor", "sole", "hand"],
+            "geoms": [f"geom_{i}" for i in range(20)],
             "arms": {name: [index] for index, name in enumerate(names)},
             "action_joints": [f"joint_{i}" for i in range(layout.n_u)],
             "state": [f"x{i}" for i in range(layout.n_x)],
@@ -169,3 +170,11 @@ def assert_same(a, b):
     if a.path is not None:
         for name in vars(a.path):
             assert getattr(a.path, name).tobytes() == getattr(b.path, name).tobytes(), name
+
+
+def outcome(call, *args):
+    """What the call returned, or the FormatError it raised."""
+    try:
+        return call(*args)
+    except FormatError as error:
+        return error

@@ -46,7 +46,7 @@ def test_nan_and_infinity_survive():
 
 
 def test_what_json_cannot_hold_is_refused_by_name():
-    with pytest.raises(SpecError, match="'when'.*set"):
+    with pytest.raises(SpecError, match=r"'when'.*set"):
         encode({"when": {1, 2}})
 
 

@@ -144,7 +144,7 @@ def test_columns_of_another_shape_or_type_are_named(tmp_path, episode):
             writer.write_steps(0, good | {"action": good["action"].astype(float)})
         with pytest.raises(SpecError, match=r"qvel: expected float64 of shape \(25, 33\), got float64 of shape \(24, 33\)"):
             writer.write_steps(0, good | {"qvel": good["qvel"][1:]})
-        with pytest.raises(SpecError, match="reward: expected .* got nothing"):
+        with pytest.raises(SpecError, match=r"reward: expected .* got nothing"):
             writer.write_steps(0, {name: column for name, column in good.items() if name != "reward"})
         with pytest.raises(SpecError, match="first_step: expected 0 and at least one row, got 5 and 25"):
             writer.write_steps(5, good)
