@@ -50,7 +50,9 @@ def policy_rng(seed: int, split: str, index: int) -> np.random.Generator:
     return np.random.default_rng([seed, sum(split.encode()), index, 1])
 
 
-def rollout(env: Env, policy: Policy, episodes: Iterable[int], *, seed: int, split: str = "train") -> Iterator[tuple[Array, Outcome]]:
+def rollout(
+    env: Env, policy: Policy, episodes: Iterable[int], *, seed: int, split: str = "train", running: Array | None = None
+) -> Iterator[tuple[Array, Outcome]]:
     """Run episodes until all have ended, as many at a time as the environment has simulations.
 
     A simulation whose episode has ended takes the next index at once. An episode depends on its seed, split and index alone, not on
@@ -62,6 +64,7 @@ def rollout(env: Env, policy: Policy, episodes: Iterable[int], *, seed: int, spl
         episodes: Indices of the episodes, consumed in order; may be endless.
         seed: Seed of problems and noise.
         split: "train" or "test".
+        running: Simulations that are in the middle of an episode already and go on with it.
 
     Yields:
         After every step of all running simulations: their ids (n,), and what the step led to.
@@ -70,8 +73,8 @@ def rollout(env: Env, policy: Policy, episodes: Iterable[int], *, seed: int, spl
         SpecError: if the policy's action is no number.
     """
     waiting = iter(episodes)
-    running = np.zeros(0, dtype=np.int64)
-    idle = np.arange(env.n)
+    running = np.zeros(0, dtype=np.int64) if running is None else running
+    idle = np.setdiff1d(np.arange(env.n), running)
     while True:
         indices = list(islice(waiting, len(idle)))
         started = idle[: len(indices)]

@@ -12,7 +12,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "coordlog"
 SIBLINGS = ("record", "train", "smooth", "view")
-FLOORS = ("version", "errors", "spec", "episode", "sim", "rollout", "scripted", *SIBLINGS, "commands", "cli")
+FLOORS = ("version", "errors", "spec", "episode", "sim", "rollout", "scoring", "scripted", *SIBLINGS, "commands", "cli")
 """From the ground up; a room may import rooms before it, and siblings none of one another."""
 OWNERS = {"mujoco": "sim", "torch": "train", "mcap": "record", "rerun": "view"}
 MODULES = {path: ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__") for path in PACKAGE.rglob("*.py")}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,9 +14,7 @@ from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
     from coordlog.record.recorder import Finished, Recorder
-
-NEAREST = 1e-4
-"""Errors are clamped to this [m], so that a score stays finite."""
+    from coordlog.scoring import Scoreboard
 
 
 def record(
@@ -51,23 +48,27 @@ def record(
     """
     from coordlog.record.recorder import Recorder
     from coordlog.rollout import rollout
+    from coordlog.scoring import Scoreboard
     from coordlog.scripted import scripted, with_noise
 
     env = make_env(scene, config=config, start=start, envs=min(envs, episodes), threads=threads)
     actor, logged = with_noise(scripted(policy, env), env, sigma=noise, correlation=noise_correlation)
     described = {"kind": "scripted", "name": policy, "checkpoint_sha256": "", "noise": logged}
     done: list[Finished] = []
+    board = Scoreboard(env.n, env.layout.k)
     steps, began = 0, time.perf_counter()
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {scene}", total=episodes, note="")
         with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
-            for ids, _ in rollout(recorder, actor, range(episodes), seed=seed, split=split):
+            for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
+                board.add(ids, outcome)
                 steps += len(ids)
                 bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")
                 if interrupted:
                     break
         bar.update(task, completed=len(done))
-    summary = _summary(done, recorder, steps=steps, seconds=time.perf_counter() - began, wanted=episodes)
+    summary = _summary(board, done, recorder, steps=steps, seconds=time.perf_counter() - began)
+    summary["wanted"] = episodes
     _show(summary, out=out, as_json=as_json)
     if interrupted:
         terminal.note(f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept")
@@ -77,24 +78,14 @@ def record(
         raise typer.Exit(EXIT_PARTIAL)
 
 
-def _summary(done: list[Finished], recorder: Recorder, *, steps: int, seconds: float, wanted: int) -> dict[str, Any]:
+def _summary(board: Scoreboard, done: list[Finished], recorder: Recorder, *, steps: int, seconds: float) -> dict[str, Any]:
     """The figures of a run; rates are of the episodes that ended."""
-    ended = [item for item in done if not item.result.aborted]
-    scores = [-math.log(max(float(item.distance.sum()), NEAREST)) for item in ended]
-
-    def rate(hits: list[bool]) -> float | None:
-        return sum(hits) / len(ended) if ended else None
+    from coordlog.scoring import figures
 
     return {
         "run": recorder.run,
-        "episodes": len(ended),
-        "wanted": wanted,
-        "aborted": len(done) - len(ended),
-        "success": rate([item.result.success for item in ended]),
-        "clean": rate([item.result.clean for item in ended]),
-        "collisions": rate([item.collided for item in ended]),
-        "falls": rate([item.fell for item in ended]),
-        "mean_score": sum(scores) / len(scores) if scores else None,
+        **figures(board.scores),
+        "aborted": sum(bool(item.result.aborted) for item in done),
         "steps": steps,
         "seconds": seconds,
         "steps_per_second": steps / seconds,
@@ -110,16 +101,15 @@ def _show(summary: dict[str, Any], *, out: Path, as_json: bool) -> None:
         return
 
     def percent(name: str) -> str:
-        return "-" if summary[name] is None else f"{summary[name]:.1%}"
+        return f"{summary[name]:.1%}" if summary["episodes"] else "-"
 
-    score = "-" if summary["mean_score"] is None else f"{summary['mean_score']:.2f}"
     pairs = [
         ("episodes", f"{summary['episodes']} of {summary['wanted']} in {out}/ (run {summary['run']})"),
         ("success", percent("success")),
         ("clean", f"{percent('clean')}   success without collision or fall"),
         ("collisions", f"{percent('collisions')}   of episodes"),
         ("falls", percent("falls")),
-        ("mean score", f"{score}   -ln(e₁ + e₂) at the last step"),
+        ("mean score", f"{summary['score']:.2f}   -ln(e₁ + e₂) at the last step"),
         ("speed", f"{summary['steps_per_second']:,.0f} steps/s over {summary['steps']:,} steps"),
         ("size", f"{summary['megabytes']:.1f} MB; recording cost {summary['recording_us_per_step']:.0f} µs/step"),
     ]

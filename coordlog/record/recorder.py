@@ -39,20 +39,6 @@ class Finished(NamedTuple):
     path: Path
     header: Header
     result: Result
-    distance: Array
-    """Palm to goal of each arm after the last step, (k,) [m]."""
-    collided: bool
-    """There was a collision at some step."""
-    fell: bool
-    """There was an instability at the last step."""
-
-
-class _Last(NamedTuple):
-    """What a summary needs of a slot's latest step."""
-
-    distance: Array
-    collided: bool
-    fell: bool
 
 
 class Recorder:
@@ -96,7 +82,6 @@ class Recorder:
         self._filled = np.zeros(env.n, dtype=np.int64)
         self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
         self._rows = self._buffers()
-        self._last = [_Last(np.zeros(0), False, False)] * env.n
         self._stepping = False
         self.seconds = 0.0
         """Time that recording has cost so far: on the caller's thread, and processor time of the writing thread [s]."""
@@ -127,7 +112,6 @@ class Recorder:
         for slot, problem in zip(ids, problems, strict=True):
             header, attachments = self._header(problem), self._env.attachments(int(slot))
             self._filled[slot] = 0
-            self._last[slot] = _Last(np.zeros(0), False, False)
             self._writers[slot] = self._open(header, attachments)
 
     def step(self, action: Array, ids: Array) -> Outcome:
@@ -191,11 +175,7 @@ class Recorder:
         return {name: getattr(simulation, name)[ids] for name in BEFORE}
 
     def _collect(self, ids: Array, outcome: Outcome) -> None:
-        """Keep the contacts of this step, and what it means for the episode."""
-        for row in np.flatnonzero(~outcome.diverged):
-            before = self._last[ids[row]]
-            fell, collided = bool(outcome.instability[row]), before.collided or bool(outcome.collision[row])
-            self._last[ids[row]] = _Last(outcome.distance[row], collided, fell)
+        """Keep the contacts of this step."""
         for row in np.flatnonzero(outcome.collision & ~outcome.diverged):
             rows = outcome.contacts[row].copy()
             rows["step"] = self._env.simulation.steps[ids[row]] - 1
@@ -231,18 +211,17 @@ class Recorder:
             final = {name: self._rows[name][slot, at].copy() for name in BEFORE}
         else:
             final = {name: np.array(values[0]) for name, values in self._present(np.array([slot])).items()}
-        last = self._last[slot]
         self._flush(slot)
         self._writers[slot] = None
-        self._submit(self._finish, writer, final, aborted, last)
+        self._submit(self._finish, writer, final, aborted)
 
-    def _finish(self, writer: EpisodeWriter, final: dict[str, Array], aborted: str, last: _Last) -> None:
+    def _finish(self, writer: EpisodeWriter, final: dict[str, Array], aborted: str) -> None:
         if not writer.length:  # nothing happened: there is no episode to keep
             writer.discard()
             return
         result = writer.finish(final, aborted=aborted)
         if self._finished:
-            self._finished(Finished(writer.path, writer.header, result, *last))
+            self._finished(Finished(writer.path, writer.header, result))
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         self._pending.append(self._thread.submit(self._timed, job, *args))

@@ -25,7 +25,7 @@ NEAR = 0.12
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
 CLEARANCES = (0.02, 0.01, 0.0)
-RESTARTS = 20
+RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
 TRIES = 12
 """Random changes to the via poses when no known way is free."""
