@@ -1,0 +1,204 @@
+"""The constants of training, one frozen section per part; the defaults are the `default` preset (see settings.py).
+
+A field's meaning stands below it, and a value out of its range is a ConfigError wherever it came from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from coordlog.errors import ConfigError
+
+Activation = Literal["relu", "crelu"]
+Norm = Literal["none", "layer", "batch"]
+Gradient = Literal["mask", "mean", "sum", "pcgrad"]
+
+
+def require(holds: bool, key: str, wanted: str, got: object) -> None:
+    """Raise ConfigError "key: expected wanted, got got" unless the condition holds."""
+    if not holds:
+        raise ConfigError(f"{key}: expected {wanted}, got {got!r}")
+
+
+def require_choice(key: str, choices: object, got: str) -> None:
+    """Raise ConfigError unless the value is one of a Literal's."""
+    names = get_args(choices)
+    require(got in names, key, "one of " + ", ".join(names), got)
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Shape of the actor μ(s) and of the critic Q(s, a); both have the same hidden layers."""
+
+    hidden: tuple[int, ...] = (256, 256)
+    """Units of each hidden layer, before the activation (CReLU doubles them)."""
+    activation: Activation = "relu"
+    """"relu", or "crelu" = [relu(x), relu(-x)]."""
+    actor_norm: Norm = "none"
+    """Normalisation before the activation of every hidden layer of the actor."""
+    critic_norm: Norm = "layer"
+    """The same for the critic; "batch" only on the hidden layers that do not see the action, as in DDPG §3."""
+    dropout: float = 0.0
+    """Probability that a hidden unit is dropped; off when acting, in targets, and in the critic of the actor's step."""
+    critics: int = 2
+    """Critics of which targets take the minimum per head; 1 is DDPG, 2 is TD3."""
+    action_layer: int = 1
+    """Hidden layer of the critic that the action enters: 1 beside the state, 2 as in DDPG §7."""
+    final_init: float = 3e-3
+    """Weights and biases of output layers start in U(-final_init, final_init), so tanh starts unsaturated (DDPG §7)."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        require(len(self.hidden) > 0 and min(self.hidden) > 0, "network.hidden", "positive layer widths", self.hidden)
+        require_choice("network.activation", Activation, self.activation)
+        require_choice("network.actor_norm", Norm, self.actor_norm)
+        require_choice("network.critic_norm", Norm, self.critic_norm)
+        require(0 <= self.dropout < 1, "network.dropout", "a probability in [0, 1)", self.dropout)
+        require(self.critics >= 1, "network.critics", "at least 1", self.critics)
+        require(
+            1 <= self.action_layer <= min(2, len(self.hidden)), "network.action_layer", "1, or 2 with two hidden layers", self.action_layer
+        )
+        require(self.final_init > 0, "network.final_init", "a positive number", self.final_init)
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """DiGrad's update (paper §III-A, eqs. 1-5)."""
+
+    gamma: float = 0.98
+    """Discount γ per control step."""
+    tau: float = 0.005
+    """Polyak rate: θ' ← τ θ + (1 - τ) θ' after each actor update (eq. 5, whose τ and 1 - τ are printed swapped)."""
+    actor_rate: float = 3e-4
+    """Adam learning rate of the actor."""
+    critic_rate: float = 3e-4
+    """Adam learning rate of the critic."""
+    weight_decay: float = 0.0
+    """L2 coefficient on the critic's weights (not on biases or norms), as gradient weight_decay · w."""
+    actor_delay: int = 2
+    """The actor and the targets are updated at every actor_delay-th critic update."""
+    target_noise: float = 0.1
+    """Standard deviation of the noise on target actions (TD3's target smoothing); 0 for none."""
+    target_clip: float = 0.2
+    """That noise is clipped to ± this."""
+    clip_targets: bool = True
+    """Clip targets y_i to the analytic bounds of the return."""
+    reward_scale: float = 0.1
+    """Rewards are multiplied by this before learning, so that |Q| is about 10 at most; metrics are in unscaled units."""
+    gradient: Gradient = "mask"
+    """How the heads' action gradients combine: "mask" is DiGrad (eq. 3), the others are ablations."""
+    normalise: bool = True
+    """Divide the actor's gradient by mean |Q|, so that the behaviour term keeps its weight as Q grows (TD3+BC)."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        require(0 <= self.gamma < 1, "learner.gamma", "a discount in [0, 1)", self.gamma)
+        require(0 < self.tau <= 1, "learner.tau", "a rate in (0, 1]", self.tau)
+        require_choice("learner.gradient", Gradient, self.gradient)
+        require(self.actor_delay >= 1, "learner.actor_delay", "at least 1", self.actor_delay)
+        for name in ("actor_rate", "critic_rate", "reward_scale"):
+            require(getattr(self, name) > 0, f"learner.{name}", "a positive number", getattr(self, name))
+        for name in ("weight_decay", "target_noise", "target_clip"):
+            require(getattr(self, name) >= 0, f"learner.{name}", "a number ≥ 0", getattr(self, name))
+
+
+@dataclass(frozen=True)
+class BehaviourConfig:
+    """Pull towards the logged action, on log samples only: w · mean((μ(s) - a)²) is added to the actor's loss."""
+
+    weight: float = 2.5
+    """w at the first update; 0 for no pull."""
+    final: float = 2.5
+    """w at the last update, linear in between. Annealed to nearly nothing, good policies have collapsed."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("weight", "final"):
+            require(getattr(self, name) >= 0, f"behaviour.{name}", "a number ≥ 0", getattr(self, name))
+
+    def at(self, progress: float) -> float:
+        """Weight after a fraction `progress` in [0, 1] of the run."""
+        return self.weight + (self.final - self.weight) * progress
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Exploration N of Algorithm 1: normal noise on the action, whose deviation decays linearly; the sum is clipped to [-1, 1]."""
+
+    start: float = 0.5
+    """Standard deviation at the first step, in units of the action range [-1, 1]."""
+    final: float = 0.1
+    """Standard deviation once it has decayed."""
+    decay: float = 0.6
+    """Fraction of the run over which it decays."""
+    correlation: float = 0.0
+    """Correlation ρ of the noise from one step to the next, [0, 1); 0 as in the paper."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        require(0 <= self.final <= self.start, "noise.final", "a number between 0 and noise.start", self.final)
+        require(0 < self.decay <= 1, "noise.decay", "a fraction in (0, 1]", self.decay)
+        require(0 <= self.correlation < 1, "noise.correlation", "a number in [0, 1)", self.correlation)
+
+    def at(self, progress: float) -> float:
+        """Standard deviation after a fraction `progress` in [0, 1] of the run."""
+        return self.start + (self.final - self.start) * min(1.0, progress / self.decay)
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """What a batch is drawn from."""
+
+    batch: int = 256
+    """Transitions per update."""
+    capacity: int = 1_000_000
+    """Live transitions kept, first in first out. Logs are never evicted."""
+    warmup: int = 5_000
+    """Live transitions stored before the first update."""
+    log_fraction: float = 0.5
+    """Share of each batch that comes from logs when there are logs and live transitions."""
+    hindsight: float = 0.0
+    """Share of each batch whose goals are replaced by palms reached later in the same episode."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        require(self.batch >= 2, "replay.batch", "at least 2", self.batch)
+        require(self.capacity >= self.batch, "replay.capacity", f"at least replay.batch = {self.batch}", self.capacity)
+        require(self.batch <= self.warmup <= self.capacity, "replay.warmup", "between replay.batch and replay.capacity", self.warmup)
+        for name in ("log_fraction", "hindsight"):
+            require(0 <= getattr(self, name) <= 1, f"replay.{name}", "a fraction in [0, 1]", getattr(self, name))
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """Budgets and intervals. Whichever budget runs out first ends the run."""
+
+    seed: int = 0
+    """Seed of weights, batches and exploration."""
+    updates: int = 10_000
+    """Gradient updates; 0 for as many as the live steps earn."""
+    steps: int = 0
+    """Live steps, all simulations together; not used when training from logs alone."""
+    pretrain: int = 0
+    """Updates from logs alone before the first live step."""
+    updates_per_step: float = 0.5
+    """Updates per environment step after `replay.warmup` of them, when live."""
+    block: int = 8
+    """Control steps of every simulation between two snapshots of the actor, when live."""
+    overlap: bool = True
+    """Simulate the next block while updating on the ones before it; the results are the same either way."""
+    metrics_every: int = 500
+    """Updates between two rows of metrics."""
+    evaluate_every: int = 2_500
+    """Updates between two evaluations; 0 for none."""
+    checkpoint_every: int = 2_500
+    """Updates between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("block", "metrics_every", "checkpoint_every"):
+            require(getattr(self, name) >= 1, f"loop.{name}", "at least 1", getattr(self, name))
+        for name in ("seed", "updates", "steps", "pretrain", "evaluate_every"):
+            require(getattr(self, name) >= 0, f"loop.{name}", "a number ≥ 0", getattr(self, name))
+        require(self.updates_per_step > 0, "loop.updates_per_step", "a positive number", self.updates_per_step)

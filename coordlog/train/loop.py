@@ -1,0 +1,300 @@
+"""The training loop: updates from logs, from live steps, or from both; metrics, evaluations, checkpoints, exact resume.
+
+Live, the loop is a pipeline of two stages. While the updates on blocks ≤ n run, block n + 1 is simulated on another thread with the
+actor as it was before those updates; then the two meet. Nothing depends on which stage is faster, so running them one after the
+other gives the same bits. Between two rounds nothing is under way: that is when metrics, evaluations and checkpoints happen.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from coordlog.episode import Array, Json
+from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.train.buffer import Block, ReplayBuffer
+from coordlog.train.checkpoint import generator_from_json, generator_to_json, load_arrays, save_arrays
+from coordlog.train.digrad import Learner
+from coordlog.train.exploration import Exploring, Noise
+from coordlog.train.gradients import gradient_mask
+from coordlog.train.logs import Columns, LogReplay
+from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
+from coordlog.train.policy import Policy
+from coordlog.train.relabel import value_bounds
+from coordlog.train.replay import MixedReplay
+from coordlog.train.settings import Settings, refuse_changes
+from coordlog.train.task import Hooks, LiveSource, Outcome, Task
+
+KIND = "coordlog checkpoint"
+ROUND = 50
+"""Updates of a round without live steps: the longest wait for a stop."""
+
+
+class Trainer:
+    """One run in one folder: `metrics.jsonl`, `checkpoint.safetensors` and `buffer/`, `policy.safetensors`, `best.safetensors`."""
+
+    def __init__(
+        self,
+        task: Task,
+        settings: Settings,
+        *,
+        folder: Path,
+        logs: Columns | None = None,
+        source: LiveSource | None = None,
+        hooks: Hooks | None = None,
+        about: Json | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """Put the parts of a run together; nothing is written yet.
+
+        Args:
+            task: Widths, arms and reward.
+            settings: All constants.
+            folder: Where the run's files go.
+            logs: Logged transitions, if any.
+            source: Live simulations, if any.
+            hooks: Evaluation, progress and stop.
+            about: JSON-able words that every policy file of the run carries.
+            device: Where the networks live.
+
+        Raises:
+            ConfigError: if there is nothing to train from, or the settings do not fit what there is.
+            SpecError: if logs and task differ in layout.
+        """
+        self.task, self.settings, self.folder, self.source = task, settings, folder, source
+        self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
+        loop, replay = settings.loop, settings.replay
+        if source is not None and loop.steps == 0:
+            raise ConfigError("loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone")
+        if source is None and loop.updates == 0:
+            raise ConfigError("loop.updates: expected a budget of updates, got 0; only live steps can earn them")
+        if logs is None and loop.pretrain > 0:
+            raise ConfigError(f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none")
+        store = None if logs is None else LogReplay(logs, task.reward)
+        if store is not None and store.widths != task.widths:
+            raise SpecError(f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state")
+        self.log_transitions = 0 if store is None else len(store)
+        self.buffer = None if source is None else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
+        self.replay = MixedReplay(replay, reward=task.reward, view=task.view, logs=store, live=self.buffer, device=device)
+        bounds = value_bounds(task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest)
+        mask = gradient_mask(task.arms, task.n_u)
+        self.learner = Learner(
+            task.n_x, mask, network=settings.network, config=settings.learner, bounds=bounds, seed=loop.seed, device=device
+        )
+        self.steps, self.best = 0, dict[str, float]()
+        self._evaluated = -1  # updates at the last evaluation
+        self._rng = np.random.default_rng([loop.seed, 0])
+        lanes = 0 if source is None else source.lanes
+        self._noise = Noise(lanes, task.n_u, correlation=settings.noise.correlation, seed=[loop.seed, 1])
+        self._tally, self._watch = Tally(tuple(task.arms), device=device), Watch(bounds)
+        self._elapsed, self._mark = 0.0, (0.0, 0, 0)
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return self.learner.updates
+
+    @property
+    def progress(self) -> float:
+        """Share of the run that is over, counted in updates or in live steps, whichever is further on."""
+        live = self.steps / self.settings.loop.steps if self.source is not None else 0.0
+        return min(1.0, max(live, self.updates / max(1, self._earned(self.settings.loop.steps))))
+
+    def run(self, *, resume: bool = False) -> Outcome:
+        """Train until a budget is used up, the run diverges, or it is asked to stop; either way it can be resumed.
+
+        Args:
+            resume: Go on from the folder's checkpoint.
+
+        Raises:
+            StorageError: if the folder already holds a run and is not to be resumed, holds none but is, or cannot be written to.
+            ConfigError: if the checkpoint was made with other settings.
+        """
+        checkpoint = self.folder / "checkpoint.safetensors"
+        if resume:
+            self._load(checkpoint)
+        elif checkpoint.exists():
+            raise StorageError(f"{self.folder} already holds a run; resume it or choose another folder")
+        self._log = MetricsLog(self.folder / "metrics.jsonl", resume_at=self.updates if resume else None)
+        self._began = time.perf_counter() - self._elapsed
+        self._mark = (self._elapsed, self.updates, self.steps)
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            while (count := self._owed()) > 0 or self._collects():
+                if self.hooks.should_stop is not None and self.hooks.should_stop():
+                    return self._end("stopped")
+                before = self.updates
+                self._round(count, pool)
+                event = self._pause(before)
+                if event is not None:
+                    return self._end("diverged", event)
+        if self._tally.count > 0:
+            event = self._write_training_row()
+            if event is not None:
+                return self._end("diverged", event)
+        if (
+            self.hooks.evaluate is not None
+            and self.settings.loop.evaluate_every > 0
+            and self.updates % self.settings.loop.evaluate_every != 0
+        ):
+            self._evaluate()
+        return self._end("finished")
+
+    def policy(self) -> Policy:
+        """The actor as it is now, as a function and file of its own."""
+        network = self.settings.network
+        said = {"activation": network.activation, "norm": network.actor_norm, "updates": self.updates, "steps": self.steps}
+        return Policy(self.learner.actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
+
+    def _collects(self) -> bool:
+        """Whether the next round steps the simulations."""
+        loop = self.settings.loop
+        spent = 0 < loop.updates <= self.updates or self.steps >= loop.steps
+        return self.source is not None and self.updates >= loop.pretrain and not spent
+
+    def _earned(self, steps: int) -> int:
+        """Updates that the run may have made after so many live steps."""
+        loop = self.settings.loop
+        if self.source is None:
+            return loop.updates
+        earned = loop.pretrain + int(loop.updates_per_step * max(0, steps - self.settings.replay.warmup))
+        return min(earned, loop.updates) if loop.updates > 0 else earned
+
+    def _owed(self) -> int:
+        """Updates of the next round: all that live steps have earned, or a few at a time without them."""
+        loop, owed = self.settings.loop, self._earned(self.steps) - self.updates
+        if self._collects():
+            return owed
+        intervals = (loop.metrics_every, loop.checkpoint_every, loop.evaluate_every or ROUND)
+        return min(owed, ROUND, *(every - self.updates % every for every in intervals))
+
+    def _round(self, count: int, pool: ThreadPoolExecutor) -> None:
+        """`count` updates, and one block of live steps with the actor as it was before them."""
+        if not self._collects():
+            self._update(count)
+            return
+        assert self.source is not None
+        assert self.buffer is not None
+        policy = Exploring(self.policy(), self._noise, deviation=self.settings.noise.at(self.progress))
+        length = min(self.settings.loop.block, -(-(self.settings.loop.steps - self.steps) // self.source.lanes))
+        if self.settings.loop.overlap:
+            under_way = pool.submit(self.source.collect, length, policy)
+            self._update(count)
+            block: Block = under_way.result()
+        else:
+            block = self.source.collect(length, policy)
+            self._update(count)
+        self.buffer.add(block)
+        self.steps += block.step.size
+
+    def _update(self, count: int) -> None:
+        for _ in range(count):
+            weight = self.settings.behaviour.at(self.progress)
+            self._tally.add(self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight))
+
+    def _pause(self, before: int) -> Event | None:
+        """Whatever is due between two rounds."""
+        loop, event = self.settings.loop, None
+
+        def due(every: int) -> bool:
+            return every > 0 and before // every != self.updates // every
+
+        if due(loop.metrics_every) or not self._tally.finite:
+            event = self._write_training_row()
+        if event is None and due(loop.evaluate_every):
+            self._evaluate()
+        if event is None and due(loop.checkpoint_every):
+            self._save("checkpoint")
+        return event
+
+    def _write_training_row(self) -> Event | None:
+        """Write and clear the interval's averages; returns what is wrong with them."""
+        averages = self._tally.row()
+        self._tally.clear()
+        elapsed = time.perf_counter() - self._began
+        seconds, updates, steps = (now - then for now, then in zip((elapsed, self.updates, self.steps), self._mark, strict=True))
+        self._mark = (elapsed, self.updates, self.steps)
+        row: Row = {"bound_low": self._watch.bounds[0], "bound_high": self._watch.bounds[1], **averages}
+        row |= {"behaviour_weight": self.settings.behaviour.at(self.progress)}
+        if self.source is not None:
+            row |= {"noise": self.settings.noise.at(self.progress), **self.source.summary()}
+        row |= {"seconds": elapsed, "updates_per_second": updates / seconds, "steps_per_second": steps / seconds}
+        self._write("training", row)
+        return self._watch.check(averages)
+
+    def _evaluate(self) -> None:
+        """Evaluate the actor, if there is a way to, and keep its policy file if it is the best so far."""
+        if self.hooks.evaluate is None:
+            return
+        self._evaluated = self.updates
+        policy = self.policy()
+        figures = dict(self.hooks.evaluate(policy, self.updates))
+        self._write("evaluation", dict(figures))
+        if not self.best or [figures[name] for name in self.hooks.rank] > [self.best[name] for name in self.hooks.rank]:
+            self.best = figures
+            policy.save(self.folder / "best.safetensors")
+
+    def _write(self, kind: str, values: Row) -> None:
+        row: Row = {"kind": kind, "update": self.updates, "step": self.steps, **values}
+        self._log.write(row)
+        if self.hooks.on_row is not None:
+            self.hooks.on_row(row)
+
+    def _end(self, ending: Literal["finished", "stopped", "diverged"], event: Event | None = None) -> Outcome:
+        """Save the run; a diverged one beside its last good checkpoint, for a post-mortem."""
+        if event is not None:
+            self._write("event", {"name": event.name, "advice": event.advice})
+        self._save("checkpoint" if event is None else "diverged")
+        return Outcome(ending, self.updates, self.steps, self.best or None, event)
+
+    def _save(self, name: str) -> None:
+        """Write buffer, then checkpoint, then policy: whichever write is cut off, the folder holds a run that can be resumed."""
+        arrays: dict[str, Array] = {f"learner.{key}": value.detach().cpu().numpy() for key, value in self.learner.state().items()}
+        arrays |= {f"tally.{key}": value for key, value in self._tally.state().items()}
+        noise, values = self._noise.state()
+        arrays |= {f"noise.{key}": value for key, value in values.items()}
+        slots = 0
+        if self.source is not None and self.buffer is not None:
+            arrays |= {f"source.{key}": value for key, value in self.source.state().items()}
+            self.buffer.save(self.folder / "buffer")
+            slots = self.buffer.total
+        self._elapsed = time.perf_counter() - self._began
+        meta = {
+            "settings": self.settings.asdict(),
+            "about": self.about,
+            "log_transitions": self.log_transitions,
+            "steps": self.steps,
+            "slots": slots,
+            "best": self.best,
+            "evaluated": self._evaluated,
+            "seconds": self._elapsed,
+            "generators": [generator_to_json(self._rng), noise],
+        }
+        save_arrays(self.folder / f"{name}.safetensors", arrays, kind=KIND, meta=meta)
+        if name == "checkpoint":
+            self.policy().save(self.folder / "policy.safetensors")
+
+    def _load(self, path: Path) -> None:
+        """Continue from a checkpoint of `_save`."""
+        arrays, meta = load_arrays(path, kind=KIND)
+        refuse_changes(self.settings, meta["settings"])
+        if meta["log_transitions"] != self.log_transitions:
+            raise ConfigError(f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}")
+        self.learner.load_state({key: torch.from_numpy(value) for key, value in _under("learner.", arrays).items()})
+        self._tally.load_state(_under("tally.", arrays))
+        if self.source is not None and self.buffer is not None:
+            self.source.load_state(_under("source.", arrays))
+            self.buffer.load(self.folder / "buffer", total=meta["slots"])
+        self.steps, self.best, self._elapsed = meta["steps"], meta["best"], meta["seconds"]
+        self._evaluated = meta["evaluated"]
+        self._rng = generator_from_json(meta["generators"][0])
+        self._noise.load_state(meta["generators"][1], _under("noise.", arrays))
+
+
+def _under(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}

@@ -1,0 +1,150 @@
+"""All sections of a run as one `Settings`: from a preset, then the tables of a TOML file, then `section.key=value` overrides.
+
+An unknown preset, section or key is an error that lists the known ones.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from coordlog.errors import ConfigError, StorageError, unknown
+from coordlog.train.config import BehaviourConfig, LearnerConfig, LoopConfig, NetworkConfig, NoiseConfig, ReplayConfig, require
+
+BUDGET = (("loop", "updates"), ("loop", "steps"))
+"""Settings that a resumed run may change."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All sections of one run; `asdict` makes it JSON."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    behaviour: BehaviourConfig = field(default_factory=BehaviourConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+
+    def asdict(self) -> dict[str, dict[str, Any]]:
+        """The settings as nested JSON-able dictionaries."""
+        return {name: {key: _plain(value) for key, value in section.items()} for name, section in asdict(self).items()}
+
+
+PRESETS: dict[str, Settings] = {
+    "default": Settings(),
+    # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
+    "paper": Settings(
+        network=NetworkConfig(
+            hidden=(700, 400), activation="crelu", actor_norm="batch", critic_norm="batch", dropout=0.2, critics=1, action_layer=2
+        ),
+        learner=LearnerConfig(
+            gamma=0.99,
+            tau=0.001,
+            actor_rate=1e-4,
+            critic_rate=1e-4,
+            weight_decay=0.01,
+            actor_delay=1,
+            target_noise=0.0,
+            clip_targets=False,
+            reward_scale=1.0,
+            normalise=False,
+        ),
+        behaviour=BehaviourConfig(weight=0.0, final=0.0),
+        noise=NoiseConfig(start=0.3, final=0.02, decay=0.6),
+        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64),
+        loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1),
+    ),
+}
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _convert(key: str, value: object, current: object) -> object:
+    """A value from TOML as the type of the value it replaces."""
+    if isinstance(current, tuple):
+        whole = isinstance(value, list | tuple) and all(type(item) is int for item in value)
+        require(whole, key, "a list of whole numbers", value)
+        return tuple(value)  # type: ignore[arg-type]
+    if isinstance(current, float) and type(value) is int:
+        return float(value)
+    require(
+        type(value) is type(current),
+        key,
+        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[type(current)],
+        value,
+    )
+    return value
+
+
+def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> Settings:
+    """Settings with the values of `tables` ({section: {key: value}}) in place of theirs.
+
+    Raises:
+        ConfigError: for a section or key that does not exist (the message lists those that do), a wrong type or range.
+    """
+    sections = {item.name: getattr(settings, item.name) for item in fields(settings)}
+    for name, table in tables.items():
+        if name not in sections:
+            raise unknown("section", name, sections)
+        require(isinstance(table, Mapping), name, "a table of keys", table)
+        known = {item.name: getattr(sections[name], item.name) for item in fields(sections[name])}
+        for key in table:
+            if key not in known:
+                raise unknown("setting", f"{name}.{key}", (f"{name}.{choice}" for choice in known))
+        sections[name] = replace(sections[name], **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()})
+    return Settings(**sections)
+
+
+def parse_assignment(text: str) -> tuple[str, str, object]:
+    """Section, key and value of "section.key=value"; the value is read as TOML, and as plain text where that fails."""
+    key, equals, value = text.partition("=")
+    section, dot, name = key.strip().partition(".")
+    require(bool(equals and dot and name), "--set", "section.key=value", text)
+    try:
+        return section, name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return section, name, value.strip()
+
+
+def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]) -> None:
+    """Raise ConfigError unless a resumed run's settings are those it was saved with; its budget may be another."""
+    for section, values in settings.asdict().items():
+        for key, value in values.items():
+            if saved[section][key] != value and (section, key) not in BUDGET:
+                raise ConfigError(
+                    f"resume: {section}.{key} was {saved[section][key]!r} and is now {value!r}; resume with the run's own settings"
+                )
+
+
+def load_settings(path: Path | None = None, *, preset: str = "default", assignments: Sequence[str] = ()) -> Settings:
+    """Settings of a preset, overridden by a TOML file, overridden by assignments.
+
+    Args:
+        path: TOML file with one table per section, or None.
+        preset: Name of the preset to start from.
+        assignments: "section.key=value" each, the last one wins.
+
+    Raises:
+        ConfigError: for anything unknown or out of range, or a file that is not TOML.
+        StorageError: if the file cannot be read.
+    """
+    if preset not in PRESETS:
+        raise unknown("preset", preset, PRESETS)
+    settings = PRESETS[preset]
+    if path is not None:
+        try:
+            settings = override(settings, tomllib.loads(path.read_text(encoding="utf-8")))
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{path} is not a TOML file: {error}") from error
+        except OSError as error:
+            raise StorageError(f"{path} cannot be read: {error.strerror}") from error
+    tables: dict[str, dict[str, object]] = {}
+    for section, key, value in map(parse_assignment, assignments):
+        tables.setdefault(section, {})[key] = value
+    return override(settings, tables)

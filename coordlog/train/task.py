@@ -1,0 +1,87 @@
+"""What training is told from outside: the task, a source of live steps, and what to do at the end of an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+from coordlog.episode import Array
+from coordlog.train.buffer import Block
+from coordlog.train.metrics import Event, Row
+from coordlog.train.policy import Policy
+from coordlog.train.relabel import GoalView, RewardFunction
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One robot in one scene, as numbers: widths, which arm each action serves, and the reward."""
+
+    n_x: int
+    """Width of the state."""
+    n_u: int
+    """Number of actions."""
+    arms: Mapping[str, Sequence[int]]
+    """Action indices of each arm, shared ones in each of theirs; one critic head per arm, in this order."""
+    reward: RewardFunction
+    """The paper's reward with its constants bound."""
+    farthest: float
+    """Greatest distance between a palm and its goal [m], for the bounds of the return."""
+    view: GoalView | None = None
+    """Where palms and goals stand in the state; without it there are no goals in hindsight."""
+
+    @property
+    def widths(self) -> tuple[int, int, int]:
+        """n_x, n_u and k."""
+        return self.n_x, self.n_u, len(self.arms)
+
+
+class LiveSource(Protocol):
+    """Simulations that are stepped together. Their steps follow from their own state and the policy alone."""
+
+    lanes: int
+    """Number of simulations."""
+
+    def collect(self, steps: int, policy: Callable[[Array], Array]) -> Block:
+        """Step every simulation `steps` times with actions from the policy ((lanes, n_x) → (lanes, n_u)), starting episodes as
+        others end. Called from another thread, never twice at once.
+        """  # noqa: D205 - one sentence
+        ...
+
+    def summary(self) -> Mapping[str, float]:
+        """What happened since the last call (episodes, successes, …), for a row of metrics."""
+        ...
+
+    def state(self) -> dict[str, Array]:
+        """All that the next `collect` and `summary` depend on, as arrays by name."""
+        ...
+
+    def load_state(self, arrays: Mapping[str, Array]) -> None:
+        """Continue from a `state()`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """What the loop calls between two rounds."""
+
+    evaluate: Callable[[Policy, int], Mapping[str, float]] | None = None
+    """Policy and number of updates to figures of merit on held-out goals."""
+    rank: tuple[str, ...] = ("clean", "score")
+    """Figures by which the best policy is kept, greater is better, the first decides."""
+    on_row: Callable[[Row], None] | None = None
+    """Called with each row of metrics: progress bars, event files."""
+    should_stop: Callable[[], bool] | None = None
+    """Asked at least every few dozen updates; the run then saves itself and returns."""
+
+
+class Outcome(NamedTuple):
+    """How a run ended."""
+
+    ending: Literal["finished", "stopped", "diverged"]
+    updates: int
+    steps: int
+    best: Mapping[str, float] | None
+    """Evaluation of the best policy, if there was one."""
+    event: Event | None
+    """What went wrong, if it diverged."""

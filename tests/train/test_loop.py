@@ -1,0 +1,252 @@
+"""Whole runs on the toy: learning, the pipeline, resuming, stopping, diverging."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import toy_arms as toy
+
+from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.train.checkpoint import load_arrays
+from coordlog.train.logs import Columns
+from coordlog.train.loop import KIND, Trainer
+from coordlog.train.metrics import TIMING, read_metrics
+from coordlog.train.policy import Policy
+from coordlog.train.settings import Settings, load_settings
+from coordlog.train.task import Hooks, Outcome
+
+SMALL = ("network.hidden=[24,24]", "replay.batch=32", "replay.warmup=64", "replay.capacity=300", "replay.hindsight=0.25")
+SHORT = (*SMALL, "loop.metrics_every=20", "loop.evaluate_every=40", "loop.checkpoint_every=30", "loop.block=4", "noise.correlation=0.5")
+LOGS = (*SHORT, "loop.updates=100")
+LIVE = (*SHORT, "loop.updates=0", "loop.steps=448", "loop.updates_per_step=0.3")
+BOTH = (*LIVE, "loop.pretrain=30")
+
+
+def settings(*assignments: str, preset: str = "default") -> Settings:
+    return load_settings(preset=preset, assignments=assignments)
+
+
+def evaluate(policy: Policy, updates: int) -> dict[str, float]:
+    return {"clean": toy.success(policy, lanes=16), "score": float(policy(np.ones(toy.N_X)).sum())}
+
+
+def trainer(folder: Path, wanted: Settings, *, logs: bool = False, live: bool = False, hooks: Hooks | None = None) -> Trainer:
+    source = toy.ToySource(8, seed=4) if live else None
+    return Trainer(
+        toy.task(),
+        wanted,
+        folder=folder,
+        logs=toy.logs(6) if logs else None,
+        source=source,
+        hooks=hooks or Hooks(evaluate=evaluate),
+        about={"run": "toy"},
+    )
+
+
+def metrics(folder: Path) -> list[dict[str, object]]:
+    return [{name: value for name, value in row.items() if name not in TIMING} for row in read_metrics(folder / "metrics.jsonl")]
+
+
+def weights(folder: Path) -> dict[str, bytes]:
+    arrays = load_arrays(folder / "checkpoint.safetensors", kind=KIND).arrays
+    return {name: array.tobytes() for name, array in arrays.items()}
+
+
+def stop_after(rows: int) -> Callable[[], bool]:
+    asked = iter(range(10**6))
+    return lambda: next(asked) >= rows
+
+
+KINDS = {"logs": (LOGS, True, False), "live": (LIVE, False, True), "both": (BOTH, True, True)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rounds", [1, 2, 5])
+def test_a_stopped_run_continues_as_if_it_had_not_been(kind: str, rounds: int, tmp_path: Path) -> None:
+    assignments, logs, live = KINDS[kind]
+    wanted = settings(*assignments)
+    whole = trainer(tmp_path / "whole", wanted, logs=logs, live=live).run()
+    assert whole.ending == "finished"
+    stopping = Hooks(evaluate=evaluate, should_stop=stop_after(rounds))
+    stopped = trainer(tmp_path / "parts", wanted, logs=logs, live=live, hooks=stopping).run()
+    assert stopped.ending == "stopped"
+    assert stopped.updates + stopped.steps < whole.updates + whole.steps
+    resumed = trainer(tmp_path / "parts", wanted, logs=logs, live=live).run(resume=True)
+    assert resumed == whole
+    assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+    best = [Policy.load(tmp_path / name / "best.safetensors").arrays for name in ("parts", "whole")]
+    assert all(np.array_equal(best[0][name], best[1][name]) for name in best[1])
+
+
+class KilledError(Exception):
+    """Stands for kill -9: nothing is cleaned up."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_killed_run_continues_from_its_last_checkpoint(kind: str, tmp_path: Path) -> None:
+    assignments, logs, live = KINDS[kind]
+    wanted = settings(*assignments)
+    trainer(tmp_path / "whole", wanted, logs=logs, live=live).run()
+
+    def kill(row: dict[str, object]) -> None:
+        if int(str(row["update"])) >= 75:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        trainer(tmp_path / "parts", wanted, logs=logs, live=live, hooks=Hooks(evaluate=evaluate, on_row=kill)).run()
+    resumed = trainer(tmp_path / "parts", wanted, logs=logs, live=live)
+    resumed.run(resume=True)
+    assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("assignments", [LIVE, BOTH])
+def test_simulating_beside_the_updates_changes_nothing(assignments: tuple[str, ...], tmp_path: Path) -> None:
+    for name in ("true", "false"):
+        wanted = settings(*assignments, f"loop.overlap={name}")
+        trainer(tmp_path / name, wanted, logs="loop.pretrain=30" in assignments, live=True).run()
+    assert metrics(tmp_path / "true") == metrics(tmp_path / "false")
+    assert weights(tmp_path / "true") == weights(tmp_path / "false")
+
+
+def test_another_seed_is_another_run(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        trainer(tmp_path / str(seed), settings(*LIVE, f"loop.seed={seed}"), live=True).run()
+    assert metrics(tmp_path / "0") != metrics(tmp_path / "1")
+
+
+def test_live_steps_earn_updates_and_budgets_are_kept(tmp_path: Path) -> None:
+    outcome = trainer(tmp_path / "steps", settings(*LIVE), live=True).run()
+    assert (outcome.steps, outcome.updates) == (448, int(0.3 * (448 - 64)))
+    outcome = trainer(tmp_path / "updates", settings(*LIVE, "loop.updates=50"), live=True).run()
+    assert outcome.updates == 50
+    assert outcome.steps < 448
+    outcome = trainer(tmp_path / "pretrained", settings(*BOTH), logs=True, live=True).run()
+    assert outcome.updates == 30 + int(0.3 * (448 - 64))
+    rows = metrics(tmp_path / "pretrained")
+    assert rows[0]["step"] == 0
+    assert {row["kind"] for row in rows} == {"training", "evaluation"}
+    assert sum(float(str(row["episodes"])) for row in rows if row["kind"] == "training") > 10
+
+
+def test_the_papers_loop_makes_one_update_per_step(tmp_path: Path) -> None:
+    wanted = settings("network.hidden=[12,8]", "replay.capacity=200", "loop.steps=120", "loop.evaluate_every=0", preset="paper")
+    made = Trainer(toy.task(), wanted, folder=tmp_path, source=toy.ToySource(1))
+    outcome = made.run()
+    assert (outcome.steps, outcome.updates) == (120, 120 - 64)
+    assert outcome.best is None
+
+
+def test_a_policy_learns_from_logs_alone(tmp_path: Path) -> None:
+    wanted = settings(
+        "network.hidden=[64,64]", "replay.batch=64", "replay.warmup=64", "learner.tau=0.02", "loop.updates=1200", "loop.evaluate_every=300"
+    )
+    outcome = Trainer(toy.task(), wanted, folder=tmp_path, logs=toy.logs(60), hooks=Hooks(evaluate=evaluate)).run()
+    assert outcome.best is not None
+    assert outcome.best["clean"] >= 0.9
+    best = Policy.load(tmp_path / "best.safetensors")
+    assert toy.success(best, lanes=16) == outcome.best["clean"]
+    assert best.about["settings"] == wanted.asdict()
+    assert best.about["updates"] <= outcome.updates
+
+
+def test_the_best_policy_is_kept_not_the_last(tmp_path: Path) -> None:
+    scores = iter([0.1, 0.9, 0.9, 0.3, 0.2])
+    seen = []
+
+    def judge(policy: Policy, updates: int) -> dict[str, float]:
+        seen.append(policy.arrays["bias.0"])
+        return {"clean": next(scores), "score": float(-updates)}
+
+    wanted = settings(*SHORT, "loop.updates=50", "loop.evaluate_every=10")
+    outcome = trainer(tmp_path, wanted, logs=True, hooks=Hooks(evaluate=judge)).run()
+    assert outcome.best == {"clean": 0.9, "score": -20.0}
+    np.testing.assert_array_equal(Policy.load(tmp_path / "best.safetensors").arrays["bias.0"], seen[1])
+    np.testing.assert_array_equal(Policy.load(tmp_path / "policy.safetensors").arrays["bias.0"], seen[4])
+
+
+def poisoned() -> Columns:
+    columns = toy.logs(6)
+    distance = columns.distance.copy()
+    distance[5] = np.nan
+    return replace(columns, distance=distance)
+
+
+def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
+    made = Trainer(toy.task(), settings(*LOGS, "loop.metrics_every=90"), folder=tmp_path, logs=poisoned(), hooks=Hooks(evaluate=evaluate))
+    outcome = made.run()
+    assert outcome.ending == "diverged"
+    assert outcome.event is not None
+    assert outcome.event.name == "not_finite"
+    assert outcome.updates < 90, "it is noticed before the row that was due"
+    last = metrics(tmp_path)[-1]
+    assert (last["kind"], last["name"]) == ("event", "not_finite")
+    assert (tmp_path / "diverged.safetensors").exists()
+    assert not (tmp_path / "policy.safetensors").exists()
+
+
+def test_a_run_is_never_overwritten_nor_resumed_from_nothing_nor_changed(tmp_path: Path) -> None:
+    trainer(tmp_path, settings(*LOGS), logs=True).run()
+    with pytest.raises(StorageError, match="already holds a run; resume it or choose another folder"):
+        trainer(tmp_path, settings(*LOGS), logs=True).run()
+    with pytest.raises(StorageError, match="cannot be read"):
+        trainer(tmp_path / "none", settings(*LOGS), logs=True).run(resume=True)
+    with pytest.raises(ConfigError, match=r"resume: learner\.gamma was 0\.98 and is now 0\.5"):
+        trainer(tmp_path, settings(*LOGS, "learner.gamma=0.5"), logs=True).run(resume=True)
+    fewer = Trainer(toy.task(), settings(*LOGS), folder=tmp_path, logs=toy.logs(3))
+    with pytest.raises(ConfigError, match=r"resume: expected the \d+ log transitions of before, got \d+"):
+        fewer.run(resume=True)
+    assert trainer(tmp_path, settings(*LOGS, "loop.updates=120"), logs=True).run(resume=True).updates == 120
+
+
+def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(ConfigError, match="got neither"):
+        Trainer(toy.task(), settings(*LOGS), folder=folder)
+    with pytest.raises(ConfigError, match=r"loop\.steps: expected a budget of live steps"):
+        trainer(folder, settings(*LOGS), live=True)
+    with pytest.raises(ConfigError, match=r"loop\.updates: expected a budget of updates"):
+        trainer(folder, settings(*LIVE), logs=True)
+    with pytest.raises(ConfigError, match=r"loop\.pretrain: expected logs for 30 updates"):
+        trainer(folder, settings(*BOTH), live=True)
+    with pytest.raises(SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"):
+        Trainer(replace(toy.task(), n_x=19), settings(*LOGS), folder=folder, logs=toy.logs(3))
+    assert not folder.exists()
+
+
+def test_an_error_in_the_simulation_comes_through(tmp_path: Path) -> None:
+    class Broken(toy.ToySource):
+        def collect(self, steps: int, policy: object) -> object:  # type: ignore[override]
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        Trainer(toy.task(), settings(*LIVE), folder=tmp_path, source=Broken(8)).run()
+
+
+def test_an_outcome_says_how_a_run_ended(tmp_path: Path) -> None:
+    rows: list[dict[str, object]] = []
+    outcome = trainer(tmp_path, settings(*LOGS), logs=True, hooks=Hooks(evaluate=evaluate, on_row=rows.append)).run()
+    assert outcome == Outcome("finished", 100, 0, outcome.best, None)
+    assert [row["update"] for row in rows if row["kind"] == "training"] == [20, 40, 60, 80, 100]
+    assert [row["update"] for row in rows if row["kind"] == "evaluation"] == [40, 80, 100]
+    first = rows[0]
+    wanted = {
+        "kind",
+        "update",
+        "step",
+        "bound_low",
+        "bound_high",
+        "critic_loss",
+        "q_left",
+        "value_right",
+        "q_low",
+        "q_high",
+        "behaviour",
+        "saturation",
+    }
+    assert wanted | {"behaviour_weight", *TIMING} <= set(first)

@@ -1,0 +1,337 @@
+"""Logs, the live buffer, and batches mixed from both."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import toy_arms as toy
+
+from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.train.buffer import Block, ReplayBuffer
+from coordlog.train.config import ReplayConfig
+from coordlog.train.logs import Columns, LogReplay
+from coordlog.train.replay import Arrays, MixedReplay, Store
+
+WIDTHS = (toy.N_X, toy.N_U, 2)
+
+
+def empty(size: int) -> Arrays:
+    n_x, n_u, k = WIDTHS
+    return Arrays(*(np.full((size, width), np.nan, np.float32) for width in (n_x, n_u, k, n_x, 1)))
+
+
+def read(store: Store, rows: np.ndarray) -> Arrays:
+    out = empty(len(rows))
+    store.read(rows, out)
+    return out
+
+
+def wandering(lanes: int, steps: int, *, seed: int = 0) -> Block:
+    rng = np.random.default_rng(seed)
+    return toy.ToySource(lanes, seed=seed).collect(steps, lambda state: rng.uniform(-1, 1, (len(state), toy.N_U)).astype(np.float32))
+
+
+def numbered(steps: int, *, first: int = 0, lanes: int = 1) -> Block:
+    """A block whose states are the number of their slot."""
+    block = wandering(lanes, steps)
+    slot = np.arange(first, first + steps)[:, None, None]
+    return block._replace(
+        state=np.broadcast_to(slot, block.state.shape).astype(np.float32),
+        next_state=np.broadcast_to(slot + 0.5, block.state.shape).astype(np.float32),
+        episode=np.broadcast_to(slot[:, :, 0] // 4, block.episode.shape),
+        step=np.broadcast_to(slot[:, :, 0] % 4, block.step.shape),
+    )
+
+
+# logs
+
+
+def test_every_logged_transition_leads_to_the_next_state_of_its_own_episode() -> None:
+    columns = toy.logs(12)
+    store = LogReplay(columns, toy.reward)
+    out = read(store, np.arange(len(store)))
+    row = 0
+    for episode, length in enumerate(columns.length):
+        states = np.concatenate((columns.state[row : row + length], columns.final[episode][None]))
+        np.testing.assert_array_equal(out.state[row : row + length], states[:-1])
+        np.testing.assert_array_equal(out.next_state[row : row + length], states[1:])
+        row += length
+    np.testing.assert_array_equal(out.action, columns.action)
+    np.testing.assert_array_equal(out.terminated[:, 0], columns.terminated)
+    assert not np.isnan(out.reward).any()
+
+
+def test_rewards_are_recomputed_from_distances_and_flags() -> None:
+    columns = toy.logs(12)
+    doubled = LogReplay(columns, lambda *inputs: 2 * toy.reward(*inputs))
+    rows = np.arange(len(doubled))
+    wanted = toy.reward(columns.distance, columns.boundary, columns.goal, columns.collision, columns.instability)
+    np.testing.assert_allclose(read(doubled, rows).reward, 2 * wanted, rtol=1e-6)
+
+
+def test_later_states_of_logs_stay_in_their_episode(rng: np.random.Generator) -> None:
+    columns = toy.logs(12)
+    store = LogReplay(columns, toy.reward)
+    rows = store.draw(rng, 500)
+    episode = np.repeat(np.arange(12), columns.length)
+    later = store.later(rng, rows)
+    following = read(store, np.arange(len(store))).next_state
+    for row, state in zip(rows, later, strict=True):
+        places = np.flatnonzero((following == state).all(axis=1) & (episode == episode[row]))
+        assert len(places)
+        assert places.max() >= row
+    last = np.cumsum(columns.length) - 1
+    np.testing.assert_array_equal(store.later(rng, last), columns.final)
+
+
+def test_arrow_tables_become_columns_over_the_same_memory() -> None:
+    columns = toy.logs(5)
+
+    def lists(values: np.ndarray) -> pa.Array:
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+    names = [item.name for item in fields(Columns) if item.name not in ("final", "length")]
+    arrays = {name: getattr(columns, name) for name in names}
+    steps = pa.table({name: lists(array) if array.ndim == 2 else pa.array(array) for name, array in arrays.items()})
+    finals = pa.table({"state": lists(columns.final), "length": pa.array(columns.length)})
+    found = Columns.from_tables(steps, finals)
+    for item in fields(Columns):
+        np.testing.assert_array_equal(getattr(found, item.name), getattr(columns, item.name))
+    assert np.shares_memory(found.state, columns.state)
+    parts = pa.concat_tables([steps.slice(0, 7), steps.slice(7)])
+    np.testing.assert_array_equal(Columns.from_tables(parts, finals).action, columns.action)
+    with pytest.raises(SpecError, match="expected columns state, length, length missing"):
+        Columns.from_tables(steps, finals.drop_columns("length"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"length": np.array([3])}, r"state: expected 3 rows for 1 episodes of 3 steps in all"),
+        ({"length": np.array([], int)}, "expected episodes of at least one step, got 0 episodes"),
+        ({"action": np.zeros((1, 9), np.float32)}, r"action: expected \d+ rows"),
+        ({"state": None}, "state: expected float32, got float64"),
+    ],
+)
+def test_columns_that_do_not_fit_together_are_refused(changes: dict[str, np.ndarray | None], message: str) -> None:
+    columns = toy.logs(5)
+    given = {name: columns.state.astype(float) if array is None else array for name, array in changes.items()}
+    with pytest.raises(SpecError, match=message):
+        replace(columns, **given)
+
+
+def test_logs_cost_little_memory_of_their_own(tmp_path: Path) -> None:
+    n, episodes = 150_000, 1000
+    columns = Columns(
+        state=np.memmap(tmp_path / "state", np.float32, "w+", shape=(n, 37)),
+        action=np.memmap(tmp_path / "action", np.float32, "w+", shape=(n, 13)),
+        distance=np.memmap(tmp_path / "distance", np.float64, "w+", shape=(n, 2)),
+        **{name: np.zeros((n, 2), bool) for name in ("boundary", "goal")},
+        **{name: np.zeros(n, bool) for name in ("collision", "instability", "terminated")},
+        final=np.zeros((episodes, 37), np.float32),
+        length=np.full(episodes, n // episodes),
+    )
+    tracemalloc.start()
+    store = LogReplay(columns, toy.reward)
+    own, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(store) == n
+    assert own < 20 * n, "1.5 million transitions cost 30 MB beside the files"
+    assert peak < 150 * n
+
+
+# the live buffer
+
+
+def test_the_buffer_gives_back_what_was_added() -> None:
+    block = wandering(4, 30)
+    buffer = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+    buffer.add(Block(*(column[:10] for column in block)))
+    buffer.add(Block(*(column[10:] for column in block)))
+    out = read(buffer, np.arange(len(buffer)))
+    for name in ("state", "action", "next_state"):
+        np.testing.assert_array_equal(getattr(out, name), getattr(block, name).reshape(120, -1))
+    flat = [
+        getattr(block, name).reshape(120, *getattr(block, name).shape[2:])
+        for name in ("distance", "boundary", "goal", "collision", "instability")
+    ]
+    np.testing.assert_allclose(out.reward, toy.reward(*flat), rtol=1e-6)
+    np.testing.assert_array_equal(out.terminated[:, 0], block.terminated.ravel())
+
+
+def test_truncated_steps_are_not_ends() -> None:
+    block = toy.ToySource(4, limit=5).collect(10, lambda state: np.zeros((4, toy.N_U), np.float32))
+    assert (block.step[4] == 4).all()
+    assert (block.step[5] == 0).all()
+    buffer = ReplayBuffer(100, 4, widths=WIDTHS, reward=toy.reward)
+    buffer.add(block)
+    out = read(buffer, np.arange(len(buffer)))
+    assert (out.terminated == 0).all()
+    np.testing.assert_array_equal(out.next_state[16:20], out.state[16:20])  # nothing moved: the state before the reset
+
+
+def test_the_oldest_transitions_leave_first() -> None:
+    buffer = ReplayBuffer(10, 1, widths=WIDTHS, reward=toy.reward)
+    for first, steps in ((0, 4), (4, 4), (8, 4), (12, 1)):
+        buffer.add(numbered(steps, first=first))
+    assert len(buffer) == 10
+    assert sorted(read(buffer, np.arange(10)).state[:, 0]) == list(range(3, 13))
+    assert len(ReplayBuffer(10, 4, widths=WIDTHS, reward=toy.reward)) == 0
+
+
+def test_rows_are_drawn_evenly_from_what_is_stored(rng: np.random.Generator) -> None:
+    buffer = ReplayBuffer(40, 2, widths=WIDTHS, reward=toy.reward)
+    buffer.add(numbered(10, lanes=2))
+    assert np.bincount(buffer.draw(rng, 40_000), minlength=20) / 40_000 == pytest.approx(0.05, abs=0.01)
+    assert buffer.draw(rng, 1000).max() == 19
+
+
+def test_later_states_follow_the_lane_around_the_end_of_the_buffer(rng: np.random.Generator) -> None:
+    buffer = ReplayBuffer(3 * 11, 3, widths=WIDTHS, reward=toy.reward)
+    for first in range(0, 30, 5):
+        buffer.add(numbered(5, first=first, lanes=3))  # episodes of four slots; slot 29 is in the middle of one
+    rows = np.repeat(np.arange(len(buffer)), 50)
+    now = read(buffer, rows).state[:, 0].astype(int)
+    later = buffer.later(rng, rows)[:, 0] - 0.5
+    ends = np.minimum(now // 4 * 4 + 3, 29)
+    assert ((now <= later) & (later <= ends)).all()
+    for slot in range(19, 30):
+        assert set(later[now == slot]) == set(range(slot, min(slot // 4 * 4 + 3, 29) + 1))
+
+
+def test_later_states_are_of_the_same_lane_and_episode(rng: np.random.Generator) -> None:
+    source, buffer = toy.ToySource(5, seed=3, limit=7), ReplayBuffer(5 * 23, 5, widths=WIDTHS, reward=toy.reward)
+    for _ in range(9):
+        buffer.add(source.collect(6, lambda state: rng.uniform(-1, 1, (5, toy.N_U)).astype(np.float32)))
+    rows = buffer.draw(rng, 400)
+    view = toy.view()
+    goals = view.points(read(buffer, rows).state, view.goals)
+    np.testing.assert_array_equal(view.points(buffer.later(rng, rows), view.goals), goals)  # goals differ between episodes
+
+
+@pytest.mark.parametrize("slots", [7, 1000])
+def test_a_buffer_continues_exactly_from_its_segments(slots: int, tmp_path: Path) -> None:
+    def fill(buffer: ReplayBuffer, first: int, last: int) -> None:
+        for start in range(first, last, 3):
+            buffer.add(numbered(3, first=start, lanes=2))
+
+    def made() -> ReplayBuffer:
+        return ReplayBuffer(2 * slots, 2, widths=WIDTHS, reward=toy.reward)
+
+    through, first = made(), made()
+    fill(through, 0, 30)
+    for stop in (6, 12, 18):
+        fill(first, stop - 6, stop)
+        first.save(tmp_path)
+    fill(first, 18, 24)
+    first.save(tmp_path)  # a later save, whose checkpoint was never written
+    second = made()
+    second.load(tmp_path, total=18)
+    fill(second, 18, 30)
+    rows = np.arange(len(through))
+    for one, other in zip(read(through, rows), read(second, rows), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(through.later(np.random.default_rng(0), rows), second.later(np.random.default_rng(0), rows))
+    second.save(tmp_path)
+    third = made()
+    third.load(tmp_path, total=30)
+    np.testing.assert_array_equal(read(third, rows).state, read(through, rows).state)
+    if slots == 7:
+        assert len(list(tmp_path.iterdir())) <= 3, "segments that nothing needs any more are removed"
+
+
+def test_a_missing_segment_is_an_error(tmp_path: Path) -> None:
+    buffer = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+    for first in (0, 5):
+        buffer.add(numbered(5, first=first))
+        buffer.save(tmp_path)
+    min(tmp_path.iterdir()).unlink()
+    with pytest.raises(StorageError, match="expected saved steps up to 10, found them up to 0"):
+        ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward).load(tmp_path, total=10)
+
+
+def test_live_transitions_cost_little_more_than_their_numbers() -> None:
+    buffer = ReplayBuffer(1000, 10, widths=(37, 13, 2), reward=toy.reward)
+    each = sum(column.nbytes for column in buffer._columns.values()) / 1000
+    assert each < 1.1 * 4 * (37 + 13 + 2 + 37)
+    assert 1_500_000 * each < 4e9
+
+
+def test_a_buffer_too_small_for_its_simulations_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"at least one transition per simulation, 8, got 5"):
+        ReplayBuffer(5, 8, widths=WIDTHS, reward=toy.reward)
+    with pytest.raises(ConfigError, match=r"loop\.block: expected at most the buffer's 5 steps"):
+        ReplayBuffer(5, 1, widths=WIDTHS, reward=toy.reward).add(numbered(6))
+
+
+# batches
+
+
+def stores() -> tuple[LogReplay, ReplayBuffer]:
+    buffer = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+    buffer.add(wandering(4, 50))
+    return LogReplay(toy.logs(12), toy.reward), buffer
+
+
+def config(**values: float) -> ReplayConfig:
+    return ReplayConfig(**{"batch": 32, "warmup": 32, **values})  # type: ignore[arg-type]
+
+
+def test_batches_mix_logs_and_live_steps_by_share(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
+    for share, count in ((0.5, 16), (0.25, 8), (0.0, 0), (1.0, 32)):
+        batch = MixedReplay(config(log_fraction=share), reward=toy.reward, logs=logs, live=live).sample(rng)
+        assert batch.logged.sum() == count
+        logged = [row.tobytes() in known for row in batch.state.numpy()]
+        assert logged == [bool(mark) for mark in batch.logged[:, 0]]
+
+
+def test_all_of_a_batch_comes_from_whichever_there_is(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    nothing = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+    assert MixedReplay(config(), reward=toy.reward, logs=logs).sample(rng).logged.all()
+    assert MixedReplay(config(), reward=toy.reward, logs=logs, live=nothing).sample(rng).logged.all()
+    assert not MixedReplay(config(), reward=toy.reward, live=live).sample(rng).logged.any()
+
+
+def test_batches_follow_from_the_generator_alone() -> None:
+    logs, live = stores()
+    replay = MixedReplay(config(hindsight=0.5), reward=toy.reward, view=toy.view(), logs=logs, live=live)
+    one, other = (replay.sample(np.random.default_rng(5)) for _ in range(2))
+    assert all((a == b).all() for a, b in zip(one, other, strict=True))
+
+
+def test_hindsight_asks_a_share_of_each_batch_for_what_was_reached(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    view = toy.view()
+    asked = {points.tobytes() for store in (logs, live) for points in view.points(read(store, np.arange(len(store))).state, view.goals)}
+    replay = MixedReplay(config(hindsight=0.25), reward=toy.reward, view=view, logs=logs, live=live)
+    for _ in range(20):
+        batch = replay.sample(rng)
+        state, following = batch.state.numpy(), batch.next_state.numpy()
+        fresh = np.array([points.tobytes() not in asked for points in view.points(state, view.goals)])
+        np.testing.assert_array_equal(fresh, [*[True] * 4, *[False] * 12] * 2)
+        goals, palms = view.points(following, view.goals), view.points(following, view.palms)
+        np.testing.assert_array_equal(view.points(state, view.goals), goals)
+        np.testing.assert_allclose(view.points(following, view.difference), goals - palms, atol=1e-6)
+        reached = (np.linalg.norm(goals - palms, axis=2) < toy.RADIUS).all(axis=1)
+        won = batch.reward.numpy()[:, 0] == np.float32(toy.CONSTANTS.kappa)
+        np.testing.assert_array_equal(won[fresh], reached[fresh])
+        assert batch.terminated.numpy()[fresh & reached].all()
+
+
+def test_stores_that_cannot_be_mixed_are_refused() -> None:
+    logs, _ = stores()
+    with pytest.raises(ConfigError, match="expected logs, live steps or both, got neither"):
+        MixedReplay(config(), reward=toy.reward)
+    with pytest.raises(ConfigError, match=r"replay\.hindsight: expected to know where goals stand"):
+        MixedReplay(config(hindsight=0.5), reward=toy.reward, logs=logs)
+    other = ReplayBuffer(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
+    with pytest.raises(ConfigError, match=r"logs have widths \(n_x, n_u, k\) = \(18, 9, 2\), live steps \(5, 9, 2\)"):
+        MixedReplay(config(), reward=toy.reward, logs=logs, live=other)
