@@ -160,6 +160,11 @@ def goal_body(arm: str) -> str:
     return f"goal_{arm}"
 
 
+def palm_sensor(arm: str) -> str:
+    """Name of the sensor that reads an arm's palm position."""
+    return f"palm_{arm}"
+
+
 def sphere_geom(index: int) -> str:
     """Name of a sphere obstacle's geom, and of its mocap body."""
     return f"sphere_{index}"
@@ -201,7 +206,7 @@ def _soles(root: ET.Element, robot: Robot) -> None:
 
 def _sensors(sensor: ET.Element, robot: Robot, config: EnvConfig, *, base: str) -> None:
     for arm in robot.arms:
-        ET.SubElement(sensor, "framepos", name=f"palm_{arm.name}", objtype="site", objname=arm.palm)
+        ET.SubElement(sensor, "framepos", name=palm_sensor(arm.name), objtype="site", objname=arm.palm)
     if robot.soles:
         ET.SubElement(sensor, "subtreecom", name="com", body=base)
         ET.SubElement(sensor, "framezaxis", name="upright", objtype="xbody", objname=robot.torso)

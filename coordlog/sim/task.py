@@ -15,7 +15,7 @@ from coordlog.errors import ConfigError
 from coordlog.sim import balance
 from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.robot import Robot
-from coordlog.sim.scene import goal_body, sole_corner, sphere_geom
+from coordlog.sim.scene import goal_body, palm_sensor, sole_corner, sphere_geom
 from coordlog.sim.state import state_view
 
 
@@ -33,7 +33,7 @@ class Task:
             joints = [model.joint(name) for name in robot.action_joints]
             servos = [model.actuator(name).id for name in robot.action_joints]
             self._goals = [int(model.body(goal_body(arm.name)).mocapid[0]) for arm in robot.arms]
-            self._palms = self._sensors([f"palm_{arm.name}" for arm in robot.arms])
+            self._palms = self._sensors([palm_sensor(arm.name) for arm in robot.arms])
         except KeyError as error:
             raise ConfigError(f"robot '{robot.name}': its spec names something its model lacks: {str(error).splitlines()[0]}") from error
         self.n_spheres = 0
