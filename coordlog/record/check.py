@@ -17,14 +17,13 @@ from mcap.opcode import Opcode
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
 from coordlog.record.bitflip import locate
-from coordlog.record.chunk import RECORD_HEAD
-from coordlog.record.container import DATA_END, FOOTER, MAGIC, TAIL_SIZE
 from coordlog.record.content import Rewards, content
 from coordlog.record.damage import damages
 from coordlog.record.finding import Finding, Problem
 from coordlog.record.messages import Encoder
 from coordlog.record.opening import File, load, summary_start
 from coordlog.record.reader import Contents, contents, decode
+from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE
 from coordlog.record.structure import structure
 from coordlog.spec import FINAL, STEP
 

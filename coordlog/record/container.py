@@ -1,4 +1,4 @@
-"""The records of an MCAP file around its chunks: appending them with their indexes, and walking over them.
+"""The records of an MCAP file around its chunks, appended in order with their indexes.
 
 Layout of every file: magic, Header, metadata and attachments known at the start, chunks each followed by its message
 indexes, the closing metadata, DataEnd with the CRC of everything so far, the summary, the footer, magic.
@@ -10,126 +10,22 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from io import BytesIO
+from collections.abc import Mapping
 from typing import NamedTuple
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Attachment, AttachmentIndex, ChunkIndex, DataEnd, Header, MetadataIndex, Statistics, SummaryOffset
 
-from coordlog.errors import FormatError
-from coordlog.record.chunk import COMPRESSION, RECORD_HEAD, Chunk
-
-MAGIC = b"\x89MCAP0\r\n"
-FOOTER = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, summary crc
-DATA_END = struct.Struct("<BQI")  # opcode, length, crc of the data section
-TAIL_SIZE = FOOTER.size + len(MAGIC)
+from coordlog.record.chunk import COMPRESSION, Chunk
+from coordlog.record.records import FOOTER, MAGIC, RECORD_HEAD, pack, pack_metadata
 
 
-class Span(NamedTuple):
-    """Where a record's content lies; opcode and length are the nine bytes before `start`."""
+class Topic(NamedTuple):
+    """A topic's channel: its id, and the packed records of the channel and its schema."""
 
-    opcode: int
-    start: int
-    end: int
-
-
-def walk(data: bytes | memoryview, start: int = len(MAGIC), stop: int | None = None) -> Iterator[Span]:
-    """Every complete record from `start` on; ends silently before one that is cut off or passes `stop`."""
-    at, stop = start, len(data) if stop is None else stop
-    while at + RECORD_HEAD.size <= stop:
-        opcode, length = RECORD_HEAD.unpack_from(data, at)
-        begin = at + RECORD_HEAD.size
-        if opcode == 0 or length > stop - begin:
-            return
-        at = begin + length
-        yield Span(opcode, begin, at)
-
-
-def pack(record: McapRecord) -> bytes:
-    """The bytes of one record, opcode and length included."""
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
-
-
-def unpack_metadata(content: memoryview) -> tuple[str, dict[str, str]]:
-    """Name and string map of a metadata record.
-
-    Raises:
-        FormatError: if the record is not well formed.
-    """
-    name, at = _string(content, 0)
-    (size,) = _unpack("<I", content, at)
-    values, at = {}, at + 4
-    if at + size != len(content):
-        raise FormatError(f"metadata {name!r}: expected {len(content) - at} bytes of values, got {size}")
-    while at < len(content):
-        key, at = _string(content, at)
-        values[key], at = _string(content, at)
-    return name, values
-
-
-def unpack_attachment(content: memoryview) -> tuple[str, bytes]:
-    """Name and content of an attachment.
-
-    Raises:
-        FormatError: if the record is not well formed or its CRC differs.
-    """
-    name, at = _string(content, 16)  # after log time and create time
-    _, at = _string(content, at)
-    (size,) = _unpack("<Q", content, at)
-    if at + 8 + size + 4 != len(content):
-        raise FormatError(f"attachment {name!r}: expected {len(content) - at - 12} bytes, got {size}")
-    (crc,) = _unpack("<I", content, len(content) - 4)
-    if crc != zlib.crc32(content[:-4]):
-        raise FormatError(f"attachment {name!r}: expected CRC {crc:08x}, got {zlib.crc32(content[:-4]):08x}")
-    return name, bytes(content[at + 8 : -4])
-
-
-@lru_cache(maxsize=64)
-def unpack_definitions(records: bytes) -> tuple[tuple[Schema, ...], tuple[Channel, ...]]:
-    """The schemas and channels among the records of a chunk's start or of a summary; the same few bytes in every file."""
-    schemas, channels = [], []
-    for span in walk(records, 0):
-        stream = ReadDataStream(BytesIO(records[span.start : span.end]))
-        if span.opcode == Opcode.SCHEMA:
-            schemas.append(Schema.read(stream))
-        elif span.opcode == Opcode.CHANNEL:
-            channels.append(Channel.read(stream))
-    return tuple(schemas), tuple(channels)
-
-
-def _string(content: memoryview, at: int) -> tuple[str, int]:
-    (size,) = _unpack("<I", content, at)
-    end = at + 4 + size
-    try:
-        return str(content[at + 4 : end], "utf-8"), end
-    except UnicodeDecodeError as error:
-        raise FormatError(f"text that is not UTF-8: {error}") from None
-
-
-def _unpack(form: str, content: memoryview, at: int) -> tuple[int, ...]:
-    try:
-        return struct.unpack_from(form, content, at)
-    except struct.error:
-        raise FormatError(f"record of {len(content)} bytes ends within a field") from None
+    id: int
+    schema: bytes
+    channel: bytes
 
 
 class Container:
@@ -139,7 +35,8 @@ class Container:
         self._pending: list[bytes] = []
         self._position = 0
         self._crc = 0
-        self._definitions: dict[int, tuple[Schema, Channel]] = {}
+        self._schemas: dict[bytes, None] = {}  # in order, each once
+        self._channels: dict[bytes, None] = {}
         self._counts: dict[int, int] = {}
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
@@ -154,7 +51,7 @@ class Container:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record."""
-        data = pack(Metadata(name=name, metadata=dict(values)))
+        data = pack_metadata(name, values)
         self._metadata.append(MetadataIndex(offset=self._position, length=len(data), name=name))
         self._append(data)
 
@@ -174,13 +71,12 @@ class Container:
         )
         self._append(data)
 
-    def define(self, schema: Schema, channel: Channel) -> bytes:
+    def define(self, topic: Topic) -> bytes:
         """The records that must stand in a chunk before the first message of a channel; empty if they already do."""
-        if channel.id in self._definitions:
-            return b""
-        known = {schema.id for schema, _ in self._definitions.values()}
-        self._definitions[channel.id] = (schema, channel)
-        return (b"" if schema.id in known else pack(schema)) + pack(channel)
+        schema = b"" if topic.schema in self._schemas else topic.schema
+        channel = b"" if topic.channel in self._channels else topic.channel
+        self._schemas[topic.schema] = self._channels[topic.channel] = None
+        return schema + channel
 
     def add_chunk(self, chunk: Chunk) -> None:
         """Append a chunk and its message indexes."""
@@ -206,10 +102,8 @@ class Container:
     def finish(self) -> None:
         """Append the end of the data section, the summary, the footer and the closing magic."""
         self._append(pack(DataEnd(self._crc)))
-        start, groups = self._position, self._summary_groups()
-        summary, offsets = b"", b""
-        for opcode, records in groups.items():
-            group = b"".join(map(pack, records))
+        start, summary, offsets = self._position, b"", b""
+        for opcode, group in self._summary_groups().items():
             if group:  # an offset to an empty group is an error to strict readers
                 offsets += pack(SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group)))
             summary += group
@@ -217,27 +111,27 @@ class Container:
         crc = zlib.crc32(summary + offsets + footer)
         self._append(summary + offsets + footer + struct.pack("<I", crc) + MAGIC)
 
-    def _summary_groups(self) -> dict[int, list[McapRecord]]:
+    def _summary_groups(self) -> dict[int, bytes]:
         return {
-            Opcode.SCHEMA: list({schema.id: schema for schema, _ in self._definitions.values()}.values()),
-            Opcode.CHANNEL: [channel for _, channel in self._definitions.values()],
-            Opcode.STATISTICS: [self._statistics()],
-            Opcode.CHUNK_INDEX: list(self._chunks),
-            Opcode.ATTACHMENT_INDEX: list(self._attachments),
-            Opcode.METADATA_INDEX: list(self._metadata),
+            Opcode.SCHEMA: b"".join(self._schemas),
+            Opcode.CHANNEL: b"".join(self._channels),
+            Opcode.STATISTICS: pack(self._statistics()),
+            Opcode.CHUNK_INDEX: b"".join(map(pack, self._chunks)),
+            Opcode.ATTACHMENT_INDEX: b"".join(map(pack, self._attachments)),
+            Opcode.METADATA_INDEX: b"".join(map(pack, self._metadata)),
         }
 
     def _statistics(self) -> Statistics:
         return Statistics(
             attachment_count=len(self._attachments),
-            channel_count=len(self._definitions),
+            channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
             message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             metadata_count=len(self._metadata),
-            schema_count=len({schema.id for schema, _ in self._definitions.values()}),
+            schema_count=len(self._schemas),
         )
 
     def _append(self, data: bytes) -> None:

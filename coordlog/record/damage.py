@@ -14,10 +14,10 @@ from mcap.opcode import Opcode
 from coordlog.errors import FormatError
 from coordlog.record.bitflip import Flip, locate, restored
 from coordlog.record.cdr import message_codec
-from coordlog.record.chunk import RECORD_HEAD, decode, expand
-from coordlog.record.container import MAGIC, Span, unpack_attachment, unpack_metadata, walk
+from coordlog.record.chunk import decode, expand
 from coordlog.record.finding import Problem
 from coordlog.record.metadata import ENV, decode_layout
+from coordlog.record.records import MAGIC, RECORD_HEAD, Span, unpack_attachment, unpack_metadata, walk
 from coordlog.record.topics import topics
 from coordlog.spec import FINAL, STEP, Layout, Message
 
@@ -57,7 +57,7 @@ def _flipped(data: bytes, intact: bytes, flip: Flip) -> Problem:
         return Problem(None, "magic", MAGIC.hex(), where)
     content = memoryview(intact)[span.start : span.end]
     if span.opcode == Opcode.METADATA:
-        return Problem(None, f"metadata {unpack_metadata(content)[0]}", "the bytes written", where)
+        return Problem(None, f"metadata {unpack_metadata(bytes(content))[0]}", "the bytes written", where)
     if span.opcode == Opcode.ATTACHMENT:
         return Problem(None, f"attachment {unpack_attachment(content)[0]}", "the bytes written", where)
     if span.opcode != Opcode.CHUNK:
@@ -74,7 +74,7 @@ def _compared(intact: bytes, whole: bytes, broken: bytes, where: str) -> Problem
     if len(whole) != len(broken) or whole == broken:
         return None
     layout, arms = _layout(intact)
-    names = {channel.id: topic for topic, (_, channel) in topics(arms).items()}
+    names = {topic.id: name for name, topic in topics(arms).items()}
     at = int(np.flatnonzero(np.frombuffer(whole, np.uint8) != np.frombuffer(broken, np.uint8))[0])
     span = next(span for span in walk(whole, 0) if at < span.end)
     record, other = (data[span.start - RECORD_HEAD.size : span.end] for data in (whole, broken))
@@ -119,10 +119,10 @@ def _unreadable(data: bytes, span: Span, reason: str) -> Problem:
 
 def _indexed_steps(content: memoryview) -> int:
     """Steps that a message index record counts; 0 for other topics."""
-    channel = topics(())[STEP.topic][1].id
+    channel = topics(())[STEP.topic].id
     return (len(content) - 6) // 16 if int.from_bytes(content[:2], "little") == channel else 0
 
 
 def _layout(data: bytes) -> tuple[Layout, tuple[str, ...]]:
-    records = (unpack_metadata(memoryview(data)[span.start : span.end]) for span in walk(data) if span.opcode == Opcode.METADATA)
+    records = (unpack_metadata(data[span.start : span.end]) for span in walk(data) if span.opcode == Opcode.METADATA)
     return decode_layout(dict(records)[ENV])

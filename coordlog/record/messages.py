@@ -35,8 +35,8 @@ def log_times(start_time: int, time: Array, *, after: int = -1) -> Array:
     if not np.isfinite(time).all():
         raise SpecError("time: expected finite seconds, got a value that is not")
     ns: Array = np.rint(time * NS).astype(np.int64) + start_time
-    early = np.diff(ns, prepend=after) <= 0
-    if early.any():
+    if ns[0] <= after or (ns[1:] <= ns[:-1]).any():
+        early = np.diff(ns, prepend=after) <= 0
         raise SpecError(f"time: expected strictly increasing seconds, got {time[early][0]} after one that is not smaller")
     return ns.astype(np.uint64)
 
@@ -48,7 +48,7 @@ class Encoder:
         self.layout, self.arms = header.layout, header.arms
         self.start_time: int = header.episode["start_time"]
         self._display, self._last = display, -1
-        self._channel = {topic: channel.id for topic, (_, channel) in topics(self.arms).items()}
+        self._channel = {name: topic.id for name, topic in topics(self.arms).items()}
         joints = header.env["joints"]
         self._names = tuple(joint["name"] for joint in joints)
         self._qpos, self._qvel = ([int(joint[key]) for joint in joints] for key in ("qpos", "qvel"))

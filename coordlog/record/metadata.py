@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from functools import lru_cache
 from typing import Any
 
 from coordlog.episode import Header, Json, Result
@@ -84,7 +85,12 @@ def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
     Raises:
         FormatError: if a key is missing.
     """
-    values = decode({key: env[key] for key in ("layout", "arms") if key in env})
+    return _decode_layout(env.get("layout", ""), env.get("arms", ""))
+
+
+@lru_cache(maxsize=64)
+def _decode_layout(layout: str, arms: str) -> tuple[Layout, tuple[str, ...]]:
+    values = decode({"layout": layout, "arms": arms})
     _require(values, {"layout": dict, "arms": dict}, ENV)
     _require(values["layout"], {item.name: int for item in fields(Layout)}, ENV + " layout")
     return Layout(**values["layout"]), tuple(values["arms"])

@@ -11,7 +11,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.record.container import FOOTER, MAGIC, TAIL_SIZE, Span, walk
+from coordlog.record.records import FOOTER, MAGIC, TAIL_SIZE, Span, walk
 from coordlog.record.storage import translated
 
 File = str | os.PathLike[str]

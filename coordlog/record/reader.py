@@ -8,6 +8,7 @@ A file that is not a finished coordlog episode is refused in one sentence that s
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -17,10 +18,10 @@ from mcap.opcode import Opcode
 from coordlog.episode import Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import expand, split
-from coordlog.record.container import MAGIC, TAIL_SIZE, unpack_attachment, unpack_definitions, unpack_metadata, walk
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result, require_version
 from coordlog.record.opening import File, load, naming, no_marker, opened, require_coordlog, summary_start, verify_summary
+from coordlog.record.records import MAGIC, RECORD_HEAD, TAIL_SIZE, unpack_attachment, unpack_definitions, unpack_metadata, walk
 from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
 
 _HEAD = 1 << 16  # enough for the opening metadata of any robot we know; more is read where it is not
@@ -39,7 +40,7 @@ class Summary(NamedTuple):
 class Contents:
     """The records of one file, expanded but not decoded; messages by topic."""
 
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
     attachments: list[memoryview] = field(default_factory=list)
     messages: dict[str, list[bytes]] = field(default_factory=dict)
 
@@ -88,7 +89,7 @@ def read_summary(path: File) -> Summary:
         for span in walk(summary, 0):
             offset, length = _metadata_index(summary[span.start : span.end], RESULT) if span.opcode == Opcode.METADATA_INDEX else (0, 0)
             if length:
-                content = memoryview(os.pread(fd, length, offset))[9:]
+                content = os.pread(fd, length, offset)[RECORD_HEAD.size :]
                 return Summary(header, decode_result(unpack_metadata(content)[1]), size)
         raise TruncatedError(no_marker(size))
 
@@ -108,7 +109,7 @@ def probe(path: File) -> int:
         if first is None:
             _header(fd)
         else:
-            require_version(unpack_metadata(head[first.start : first.end])[1])
+            require_version(unpack_metadata(bytes(head[first.start : first.end]))[1])
         return size
 
 
@@ -154,7 +155,7 @@ def contents(data: bytes, *, verify: bool = True) -> Contents:
         if span.opcode == Opcode.CHUNK:
             found.add_chunk(expand(content, verify=verify), topics)
         elif span.opcode == Opcode.METADATA:
-            name, values = unpack_metadata(content)
+            name, values = unpack_metadata(bytes(content))
             found.metadata[name] = values
         elif span.opcode == Opcode.ATTACHMENT:
             found.attachments.append(content)
@@ -206,10 +207,10 @@ def _header(fd: int) -> Header:
     for size in (_HEAD, os.fstat(fd).st_size):
         data = memoryview(os.pread(fd, size, 0))
         require_coordlog(data)
-        records: dict[str, dict[str, str]] = {}
+        records: dict[str, Mapping[str, str]] = {}
         for span in walk(data):
             if span.opcode == Opcode.METADATA:
-                name, values = unpack_metadata(data[span.start : span.end])
+                name, values = unpack_metadata(bytes(data[span.start : span.end]))
                 records[name] = values
             elif records:
                 return decode_header(records)

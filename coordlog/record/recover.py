@@ -19,12 +19,12 @@ from mcap.opcode import Opcode
 from coordlog.episode import Array, Episode, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import expand
-from coordlog.record.container import DATA_END, MAGIC, TAIL_SIZE, unpack_attachment, unpack_metadata, walk
 from coordlog.record.damage import repaired
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result
 from coordlog.record.opening import File, load, naming, summary_start, verify_summary
 from coordlog.record.reader import Contents, contents, decode
+from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, unpack_attachment, unpack_metadata, walk
 from coordlog.record.storage import PART, PartFile, move_new, refuse_existing, translated
 from coordlog.record.writer import write_episode
 from coordlog.spec import CONTACTS, FINAL, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
@@ -162,7 +162,7 @@ def _ground(data: bytes) -> _Ground:
             if span.opcode == Opcode.CHUNK:
                 ground.found.add_chunk(expand(content), topics)
             elif span.opcode == Opcode.METADATA:
-                name, values = unpack_metadata(content)
+                name, values = unpack_metadata(bytes(content))
                 ground.found.metadata[name] = values
             elif span.opcode == Opcode.DATA_END:
                 return ground

@@ -29,10 +29,10 @@ from mcap.records import (
 )
 
 from coordlog.errors import FormatError
-from coordlog.record.chunk import RECORD_HEAD, expand
-from coordlog.record.container import FOOTER, TAIL_SIZE, Span, unpack_attachment, walk
+from coordlog.record.chunk import expand
 from coordlog.record.finding import Problem
 from coordlog.record.metadata import HEADER_RECORDS, RESULT
+from coordlog.record.records import FOOTER, RECORD_HEAD, TAIL_SIZE, Span, unpack_attachment, walk
 from coordlog.record.schema import ENCODING, MESSAGE_ENCODING, SCHEMAS
 
 _KINDS: dict[int, Any] = {

@@ -9,6 +9,8 @@ from functools import lru_cache
 
 from mcap.records import Channel, Schema
 
+from coordlog.record.container import Topic
+from coordlog.record.records import pack
 from coordlog.record.schema import ENCODING, MESSAGE_ENCODING, SCHEMAS
 from coordlog.spec import ARM, CONTACTS, FINAL, JOINT_STATE_NAME, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
 
@@ -22,15 +24,14 @@ def arm_topic(arm: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def topics(arms: tuple[str, ...]) -> dict[str, tuple[Schema, Channel]]:
-    """Schema and channel of every topic that an episode with these arms can have, by topic name."""
+def topics(arms: tuple[str, ...]) -> dict[str, Topic]:
+    """Every topic that an episode with these arms can have, by name."""
     names = _FIXED | {arm_topic(arm): ARM.name for arm in arms}
-    return {topic: (_schema(name), _channel(index, topic, name)) for index, (topic, name) in enumerate(names.items(), 1)}
+    return {topic: _topic(index, topic, name) for index, (topic, name) in enumerate(names.items(), 1)}
 
 
-def _schema(name: str) -> Schema:
-    return Schema(id=_SCHEMA_IDS[name], name=name, encoding=ENCODING, data=SCHEMAS[name].encode())
-
-
-def _channel(index: int, topic: str, name: str) -> Channel:
-    return Channel(id=index, topic=topic, message_encoding=MESSAGE_ENCODING, metadata={}, schema_id=_SCHEMA_IDS[name])
+def _topic(index: int, topic: str, name: str) -> Topic:
+    number = _SCHEMA_IDS[name]
+    schema = Schema(id=number, name=name, encoding=ENCODING, data=SCHEMAS[name].encode())
+    channel = Channel(id=index, topic=topic, message_encoding=MESSAGE_ENCODING, metadata={}, schema_id=number)
+    return Topic(index, pack(schema), pack(channel))

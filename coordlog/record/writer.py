@@ -104,7 +104,7 @@ class EpisodeWriter:
         self._tally.add(columns)
 
     def finish(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
-        """Write the final state and the commit marker, and publish the file.
+        """Write the final state and the commit marker, and publish the file: `seal` and then `publish`.
 
         Args:
             final: time, qpos, qvel, state after the last action, without a step axis.
@@ -118,6 +118,12 @@ class EpisodeWriter:
             SpecError: if the final state or the path is not what the layout says.
             StorageError: if the file system refuses or the name was taken meanwhile; the part file stays.
         """
+        result = self.seal(final, aborted=aborted, path=path)
+        self.publish()
+        return result
+
+    def seal(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
+        """Write the final state, the commit marker and the summary; see `finish`. The part file is then complete."""
         row = {item.name: np.asarray(final[item.name])[None] for item in FINAL.fields[1:]}
         self._validate(FINAL.fields[1:], row, 1)
         batches = {FINAL.topic: self._encoder.final(self.length, row)}
@@ -129,8 +135,15 @@ class EpisodeWriter:
         self._container.add_metadata(RESULT, encode_result(result))
         self._container.finish()
         self._flush()
-        self._file.publish()
         return result
+
+    def publish(self) -> None:
+        """Make a sealed file durable and give it its name; waits for the disk, so it may run on a thread of its own.
+
+        Raises:
+            StorageError: if the file system refuses or the name was taken meanwhile; the part file stays.
+        """
+        self._file.publish()
 
     def close(self) -> None:
         """Let go of the file; an unfinished episode stays as a part file, for `coordlog recover`."""
@@ -151,7 +164,7 @@ class EpisodeWriter:
         self._flush()
 
     def _add(self, batches: dict[str, Batch]) -> None:
-        definitions = b"".join(self._container.define(*self._topics[topic]) for topic in batches)
+        definitions = b"".join(self._container.define(self._topics[topic]) for topic in batches)
         self._container.add_chunk(compose(definitions, list(batches.values())))
 
     def _flush(self) -> None:

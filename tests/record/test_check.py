@@ -12,7 +12,7 @@ from coordlog.episode import CONTACT
 from coordlog.errors import StorageError
 from coordlog.record.check import check
 from coordlog.record.chunk import encode, expand, split
-from coordlog.record.container import walk
+from coordlog.record.records import walk
 from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, STEP
 

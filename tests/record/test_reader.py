@@ -103,7 +103,7 @@ def test_large_opening_metadata_is_read_in_full(tmp_path, episode):
 
 
 def test_a_damaged_chunk_is_refused_unless_asked_for(tmp_path, file, episode):
-    from coordlog.record.container import walk
+    from coordlog.record.records import walk
 
     data = bytearray(file.read_bytes())
     chunk = next(span for span in walk(data) if span.opcode == 6)

@@ -11,8 +11,8 @@ from test_reader import bad_files, foreign_mcap
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.check import check
-from coordlog.record.container import walk
 from coordlog.record.reader import read_attachments, read_episode, read_header
+from coordlog.record.records import walk
 from coordlog.record.recover import ABORTED, recover, restored_whole, salvaged
 from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, STEP
