@@ -1,1 +1,9 @@
-"""Episodes to files and back: the only room that knows MCAP."""
+"""Episodes to files and back: the only room that knows MCAP.
+
+schema cdr chunk records container    the format, from fields to bytes
+metadata messages topics tally        what an episode becomes in it
+writer storage recorder               writing
+opening reader dataset arrow info     reading
+finding check structure content       judging; damage and bitflip name what is broken
+recover                               rescuing
+"""

@@ -86,7 +86,7 @@ def _content(data: bytes, rewards: Rewards) -> list[Problem]:
         return [*_messages(found, episode), *content(episode, rewards)]
     except (FormatError, SpecError) as error:
         return [Problem(None, "messages", "those of an episode", str(error))]
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as error:  # metadata of another shape than documented
         return [Problem(None, "metadata", "the keys that coordlog.episode.Header lists", f"{type(error).__name__}: {error}")]
 
 

@@ -24,6 +24,11 @@ HEADER_RECORDS = tuple(PREFIX + item.name for item in fields(Header))
 
 _RESULT_TYPES: dict[str, type] = {item.name: {"int": int, "bool": bool, "str": str}.get(str(item.type), list) for item in fields(Result)}
 
+MAX_WIDTH = 1 << 16
+"""Longest sequence of a message: a damaged layout must not exhaust the memory."""
+MAX_TIME = (1 << 63) - 1
+"""Latest start of an episode [ns since the epoch] that a log time can hold."""
+
 Strings = Mapping[str, str]
 
 
@@ -53,7 +58,7 @@ def _encode_value(key: str, value: Any) -> str:
 def _decode_value(text: str) -> Any:
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 
@@ -75,6 +80,7 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
     decode_layout(records[ENV])
     header = Header(*(decode(records[name]) for name in HEADER_RECORDS))
     _require(header.episode, {"start_time": int}, EPISODE)
+    _require_range({"start_time": header.episode["start_time"]}, MAX_TIME, EPISODE)
     _require(header.env, {"joints": list}, ENV)
     return header
 
@@ -93,6 +99,7 @@ def _decode_layout(layout: str, arms: str) -> tuple[Layout, tuple[str, ...]]:
     values = decode({"layout": layout, "arms": arms})
     _require(values, {"layout": dict, "arms": dict}, ENV)
     _require(values["layout"], {item.name: int for item in fields(Layout)}, ENV + " layout")
+    _require_range(values["layout"], MAX_WIDTH, ENV + " layout")
     return Layout(**values["layout"]), tuple(values["arms"])
 
 
@@ -130,3 +137,9 @@ def _require(values: Json, kinds: Mapping[str, type], where: str) -> None:
     for key, kind in kinds.items():
         if type(values.get(key)) is not kind:
             raise FormatError(f"metadata {where}: '{key}': expected {kind.__name__}, got {values.get(key)!r}")
+
+
+def _require_range(values: Mapping[str, int], limit: int, where: str) -> None:
+    for key, value in values.items():
+        if not 0 <= value <= limit:
+            raise FormatError(f"metadata {where}: '{key}': expected 0 to {limit}, got {value}")

@@ -15,15 +15,15 @@ from types import TracebackType
 import numpy as np
 
 from coordlog.episode import CONTACT, Array, Episode, Header, Path, Result
-from coordlog.errors import SpecError
+from coordlog.errors import FormatError, SpecError
 from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
 from coordlog.record.messages import Columns, Encoder
-from coordlog.record.metadata import RESULT, encode_header, encode_result
+from coordlog.record.metadata import RESULT, decode_header, encode_header, encode_result
 from coordlog.record.storage import PartFile
 from coordlog.record.tally import Tally
 from coordlog.record.topics import topics
-from coordlog.spec import FINAL, SCHEMA_VERSION, STEP, Field
+from coordlog.spec import FINAL, STEP, Field
 from coordlog.version import __version__
 
 LIBRARY = f"coordlog/{__version__}"
@@ -52,9 +52,11 @@ class EpisodeWriter:
             StorageError: if the file exists or cannot be written.
             SpecError: if the header cannot be written or read back.
         """
-        if header.episode.get("schema_version") != SCHEMA_VERSION:
-            raise SpecError(f"header: expected schema_version {SCHEMA_VERSION}, got {header.episode.get('schema_version')!r}")
         metadata = encode_header(header)
+        try:
+            decode_header(metadata)
+        except FormatError as error:
+            raise SpecError(f"header: {error}") from None
         self.header = header
         self._encoder = Encoder(header, display=display)
         self._tally = Tally(header.layout.k)

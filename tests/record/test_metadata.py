@@ -91,3 +91,21 @@ def test_a_result_with_a_value_of_another_type_is_refused():
         decode_result(strings | {"length": "three"})
     with pytest.raises(FormatError, match="'returns': expected list"):
         decode_result(strings | {"returns": json.dumps(1.0)})
+
+
+@pytest.mark.parametrize(("key", "value"), [("n_q", -1), ("n_x", 10**12), ("k", 2.0), ("n_u", True)])
+def test_a_layout_that_cannot_be_is_refused(key, value):
+    header = make_header()
+    header.env["layout"][key] = value
+    with pytest.raises(FormatError, match=f"coordlog.env layout: '{key}': expected .* got {value}"):
+        decode_header(encode_header(header))
+
+
+@pytest.mark.parametrize("start_time", [-1, 2**63])
+def test_a_start_that_no_log_time_can_hold_is_refused(start_time):
+    with pytest.raises(FormatError, match="'start_time': expected 0 to"):
+        decode_header(encode_header(make_header(start_time=start_time)))
+
+
+def test_deep_nesting_is_text():
+    assert decode({"key": "[" * 100_000}) == {"key": "[" * 100_000}
