@@ -6,7 +6,8 @@ CoordlogError                exit code 2
 ├── FormatError              not a coordlog episode: foreign, empty, another schema version
 │   └── TruncatedError       an episode that ends before its commit marker; `coordlog recover` helps
 ├── StorageError             the file system said no: full, read-only, would overwrite
-└── SimulationError          the physics cannot be built or has diverged
+├── SimulationError          the physics cannot be built or has diverged
+└── ViewerError              the viewer cannot start: no display, no Vulkan, a port that is taken
 
 A message is one sentence or two: what, wanted, got, what to do. The command line prints it and exits
 with `exit_code`; a library user catches `CoordlogError`.
@@ -49,6 +50,10 @@ class StorageError(CoordlogError):
 
 class SimulationError(CoordlogError):
     """A model that does not compile, or physics that diverged."""
+
+
+class ViewerError(CoordlogError):
+    """The viewer cannot start or does not answer; the message says what works instead."""
 
 
 def unknown(kind: str, got: str, choices: object) -> ConfigError:

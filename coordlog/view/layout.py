@@ -1,0 +1,88 @@
+"""How the panels are arranged, so that nothing needs to be arranged by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from coordlog.view import palette
+from coordlog.view.camera import Camera
+from coordlog.view.show import TIMELINE, Stage
+from coordlog.view.text import title, verdict
+
+MARGIN = 0.15
+"""Joint plots show this much more than the motion [rad]."""
+
+
+def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
+    """Scene and flags on the left; text, joints, and distances with rewards on the right; a banner above for what was cut short."""
+    plots = rrb.Vertical(
+        rrb.Tabs(*(_text(stage) for stage in stages), active_tab=len(stages) - 1),
+        _joints(stages),
+        rrb.Tabs(
+            _series(stages, "log10 of distance to goal [m]", "log_distance/**"),
+            _series(stages, "distance [m]", "distance"),
+            _series(stages, "reward", "reward"),
+        ),
+        row_shares=[4, 4, 3],
+    )
+    left = rrb.Vertical(_scene(stages, camera), _flags(stages), row_shares=[8, 4])
+    panels: rrb.Container = rrb.Horizontal(left, plots, column_shares=[3, 2])
+    cut = [stage for stage in stages if stage.episode.result.aborted]
+    if cut:
+        banners = rrb.Horizontal(*(rrb.TextDocumentView(origin=stage.entity("banner"), name=stage.show.name) for stage in cut))
+        panels = rrb.Vertical(banners, panels, row_shares=[1, 7])
+    return rrb.Blueprint(panels, *panes(), auto_layout=False, auto_views=False)
+
+
+def panes(*, timeline: str = TIMELINE, playing: bool = True) -> list[rrb.BlueprintPart]:
+    """The viewer's own panes: only the time line is shown, and runs."""
+    return [
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="playing" if playing else "paused", loop_mode="all"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.TopPanel(state="hidden"),
+    ]
+
+
+def space(name: str, camera: Camera, contents: Sequence[str]) -> rrb.Spatial3DView:
+    """A three-dimensional view with its eye in place."""
+    eye = rrb.EyeControls3D(position=camera.eye, look_target=camera.target, eye_up=[0.0, 0.0, 1.0])
+    return rrb.Spatial3DView(origin="/", contents=contents, name=name, eye_controls=eye, line_grid=False, background=palette.BACKGROUND)
+
+
+def _scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
+    name = " | ".join(f"{stage.label}: {verdict(stage.episode)}" for stage in stages)
+    if len(stages) == 1:
+        name = f"{title(stages[0].episode)}: {verdict(stages[0].episode)}"
+    return space(name, camera, [f"+ {stage.entity('world')}/**" for stage in stages])
+
+
+def _joints(stages: Sequence[Stage]) -> rrb.Tabs:
+    groups = list(dict.fromkeys(group for stage in stages for group in stage.groups))
+    views = [_series(stages, f"joints: {group}", f"joint/{group}/**", span=_span(stages, group)) for group in groups]
+    return rrb.Tabs(*views, _series(stages, "actions", "action/**"), active_tab=min(1, len(groups) - 1))
+
+
+def _flags(stages: Sequence[Stage]) -> rrb.Tabs:
+    views = [rrb.StateTimelineView(origin=stage.entity("flag"), name=f"flags {stage.label}".strip()) for stage in stages]
+    return rrb.Tabs(*views, active_tab=len(views) - 1)
+
+
+def _text(stage: Stage) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=stage.entity("about"), name=stage.show.name)
+
+
+def _series(stages: Sequence[Stage], name: str, entities: str, *, span: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+    contents = [f"+ {stage.root}/{entities}" for stage in stages]
+    axis = None if span is None else rrb.ScalarAxis(range=span)
+    return rrb.TimeSeriesView(origin="/", contents=contents, name=name, axis_y=axis)
+
+
+def _span(stages: Sequence[Stage], group: str) -> tuple[float, float]:
+    """A range that shows how the joints move; their limits come into it when they are near."""
+    moved = [stage.episode.qpos[:, stage.geometry.joints[stage.groups[group]]].ravel() for stage in stages if group in stage.groups]
+    angles = np.concatenate(moved)
+    return float(np.nanmin(angles)) - MARGIN, float(np.nanmax(angles)) + MARGIN

@@ -1,0 +1,142 @@
+"""A folder of episodes as one recording: which succeeded, where the hands went, how far off they ended, which to open next.
+
+The time line counts episodes: the cursor picks one, whose hand paths are drawn bold and whose summary stands beside the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import rerun as rr
+
+from coordlog.episode import Array
+from coordlog.errors import ConfigError
+from coordlog.view import palette
+from coordlog.view.outcome import KINDS, Outcome, about_all, about_one
+from coordlog.view.overview_layout import TIMELINE, overview_layout
+from coordlog.view.plots import lines
+from coordlog.view.recording import MARKDOWN, new_stream
+from coordlog.view.scene import draw_still
+from coordlog.view.show import Show, Stage
+
+APPLICATION = "coordlog-overview"
+WINDOW = 50
+"""Rates are running means over this many episodes."""
+BIN = 0.005
+"""Width of the histogram's bins [m]."""
+FARTHEST = 0.60
+"""Final distances beyond this are counted in the last bin [m]."""
+
+
+def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
+    """Build the overview of many episodes; one is held in memory at a time, so `shows` may be a generator.
+
+    The robot is drawn once, as it stands at the start of the first episode that comes with its model; all others need no attachments.
+    The recording waits in memory with its blueprint: `save` it, or `connect_grpc` it to a viewer.
+
+    Raises:
+        ConfigError: without a show.
+        FormatError: if the first model cannot be used.
+    """
+    outcomes: list[Outcome] = []
+    stage: Stage | None = None
+    for show in shows:
+        outcomes.append(Outcome.of(show))
+        if stage is None and show.attachments:
+            stage = Stage(show)
+    if not outcomes:
+        raise ConfigError("overview: expected at least one episode, got none")
+    stream = new_stream(APPLICATION, name=f"{len(outcomes)} episodes")
+    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if stage is not None:
+        draw_still(stream, stage)
+    draw_paths(stream, outcomes)
+    draw_cursor(stream, outcomes)
+    plot_rates(stream, outcomes)
+    log_table(stream, outcomes)
+    stream.log("/about", rr.TextDocument(about_all(outcomes), media_type=MARKDOWN), static=True)
+    texts = rr.TextDocument.columns(text=[about_one(outcome) for outcome in outcomes], media_type=[MARKDOWN] * len(outcomes))
+    stream.send_columns("/episode", [_numbers(outcomes)], texts)
+    palms = [outcome.palms.reshape(-1, 3) for outcome in outcomes]
+    robot = [] if stage is None else [stage.motion.position[0, 1:]]
+    stream.send_blueprint(overview_layout(np.concatenate([*palms, *robot])))
+    return stream
+
+
+def draw_paths(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
+    """Log the hand paths of all episodes as thin lines, one entity per scene and way of ending."""
+    groups: dict[tuple[str, str], list[Array]] = {}
+    for outcome in outcomes:
+        paths = [outcome.palms[:, i] for i in range(len(outcome.arms))]
+        groups.setdefault((outcome.scene, outcome.kind), []).extend(paths)
+    for (scene, kind), paths in groups.items():
+        entity = "/".join(["/world/paths", rr.escape_entity_path_part(scene), rr.escape_entity_path_part(kind)])
+        quiet = palette.pale(KINDS[kind], 0.5 if kind == "clean success" else 0.0)
+        stream.log(entity, rr.LineStrips3D(paths, colors=quiet, radii=rr.Radius.ui_points(0.5)), static=True)
+
+
+def draw_cursor(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
+    """Log the hand paths and goals of the episode under the cursor."""
+    time = [_numbers(outcomes)]
+    counts = np.array([len(outcome.arms) for outcome in outcomes])
+    colours = np.array([palette.cycle(palette.ARMS, i) for count in counts for i in range(count)], dtype=np.uint8)
+    paths = [outcome.palms[:, i] for outcome in outcomes for i in range(len(outcome.arms))]
+    stream.log("/world/cursor/path", rr.LineStrips3D.from_fields(radii=0.006), static=True)
+    stream.send_columns("/world/cursor/path", time, rr.LineStrips3D.columns(strips=paths, colors=colours).partition(counts))
+    goals = np.concatenate([outcome.goals for outcome in outcomes])
+    stream.log("/world/cursor/goal", rr.Points3D.from_fields(radii=0.012), static=True)
+    stream.send_columns("/world/cursor/goal", time, rr.Points3D.columns(positions=goals, colors=colours).partition(counts))
+
+
+def plot_rates(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
+    """Log how each episode ended as lanes, running rates, final distances by episode and their histogram."""
+    time = _numbers(outcomes)
+    kinds = np.array([outcome.kind for outcome in outcomes])
+    look = rr.StateConfiguration(values=list(KINDS), colors=list(KINDS.values()))
+    stream.log("/lane/result", look, static=True)
+    stream.send_columns("/lane/result", [time], rr.StateChange.columns(state=kinds.tolist()))
+    touched = np.array([outcome.collisions > 0 for outcome in outcomes])
+    look = rr.StateConfiguration(values=["collision", "no"], colors=[palette.BAD, palette.EXECUTED], visible=[True, False])
+    stream.log("/lane/collision", look, static=True)
+    stream.send_columns("/lane/collision", [time], rr.StateChange.columns(state=np.where(touched, "collision", "no").tolist()))
+    succeeded = np.array([outcome.kind in ("clean success", "success with collision") for outcome in outcomes])
+    rates = np.stack([_running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
+    names, colours = ["clean success", "success", "collision"], [palette.GOOD, palette.FAIR, palette.BAD]
+    lines(stream, "/rate", time, rates, names=names, colours=colours, width=2.0)
+    worst = np.array([outcome.worst for outcome in outcomes])
+    marks = rr.SeriesPoints(colors=[palette.JOINTS[0]], markers=["circle"], marker_sizes=[2.0], names=["farther palm"])
+    stream.log("/final", marks, static=True)
+    stream.send_columns("/final", [time], rr.Scalars.columns(scalars=100.0 * worst))
+    edges = np.arange(0.0, FARTHEST + BIN / 2, BIN)
+    counts, _ = np.histogram(np.clip(worst[np.isfinite(worst)], 0.0, FARTHEST - BIN / 2), bins=edges)
+    widths = np.full(len(counts), 100.0 * BIN)
+    bars = rr.BarChart(counts, color=palette.JOINTS[0], abscissa=100.0 * (edges[:-1] + BIN / 2), widths=widths)
+    stream.log("/histogram", bars, static=True)
+
+
+def log_table(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
+    """Log one row per episode for the table view."""
+    columns = rr.AnyValues.columns(
+        ended_as=[outcome.kind for outcome in outcomes],
+        seconds=[outcome.seconds for outcome in outcomes],
+        final_cm=[round(100.0 * outcome.worst, 2) for outcome in outcomes],
+        collision_steps=[outcome.collisions for outcome in outcomes],
+        total_return=[float(outcome.returns.sum()) for outcome in outcomes],
+        scene=[outcome.scene for outcome in outcomes],
+        policy=[outcome.policy for outcome in outcomes],
+        file=[outcome.file for outcome in outcomes],
+    )
+    stream.send_columns("/table", [_numbers(outcomes)], columns)
+
+
+def _numbers(outcomes: Sequence[Outcome]) -> rr.TimeColumn:
+    return rr.TimeColumn(TIMELINE, sequence=np.arange(len(outcomes)))
+
+
+def _running(flags: Array) -> Array:
+    """Mean of the last WINDOW values, (n,)."""
+    total = np.concatenate([[0.0], np.cumsum(flags, dtype=float)])
+    last = np.arange(1, len(flags) + 1)
+    first = np.maximum(last - WINDOW, 0)
+    return np.asarray((total[last] - total[first]) / (last - first))

@@ -1,0 +1,112 @@
+"""The time series: joint angles with limits, knots and spline; actions, rewards, distances; flags as lanes.
+
+What an action led to is drawn at the time of the state it led to. Several shows share a plot: all but the last are drawn pale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from coordlog.episode import Array
+from coordlog.view.palette import ARMS, BAD, EXECUTED, FAIR, GOOD, JOINTS, Colour, bright, cycle, pale
+from coordlog.view.show import Stage, clock
+
+NEAREST = 1e-4
+"""Distances below this [m] are drawn as this: a logarithm has no zero."""
+NOT = "no"
+"""State of a flag that is down; its lane is empty then."""
+
+
+def plot(stream: rr.RecordingStream, stage: Stage, *, behind: bool = False) -> None:
+    """Log every time series of one show; `behind` draws it pale and thin, because another show is the one to look at."""
+    suffix = f" ({stage.label})" if stage.label else ""
+    for group, index in stage.groups.items():
+        plot_joints(stream, stage, group, index, behind=behind, suffix=suffix)
+    plot_outcomes(stream, stage, behind=behind, suffix=suffix)
+    plot_flags(stream, stage)
+
+
+def plot_joints(stream: rr.RecordingStream, stage: Stage, group: str, index: list[int], *, behind: bool, suffix: str) -> None:
+    """Log the angles of one group of joints, their limits, the path they were to follow, and their actions.
+
+    Series of one joint have one name, so that the legend stays short and switches all of them.
+    """
+    episode, path, spline = stage.episode, stage.episode.path, stage.spline
+    names = [stage.robot.action_joints[i] + suffix for i in index]
+    own = [cycle(JOINTS, i) for i in range(len(index))]
+    colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
+    angles = episode.qpos[:, stage.geometry.joints[index]]
+    lines(stream, stage.entity("joint", group, "executed"), stage.states, angles, names=names, colours=colours, width=width)
+    lines(stream, stage.entity("action", group), stage.starts, episode.action[:, index], names=names, colours=colours, width=1.0, held=True)
+    if not behind:
+        ends, limits = clock(episode.time[[0, -1]]), stage.geometry.limits[index].ravel()  # low and high of each joint
+        faint, twice = [pale(colour, 0.45) for colour in own for _ in "lh"], [name for name in names for _ in "lh"]
+        lines(stream, stage.entity("joint", group, "limits"), ends, np.tile(limits, (2, 1)), names=twice, colours=faint, width=0.6)
+    if path is not None and spline is not None:
+        light, (time, position) = [bright(colour, 0.4) for colour in own], spline
+        lines(stream, stage.entity("joint", group, "spline"), clock(time), position[:, index], names=names, colours=light, width=2.0)
+        marks = rr.SeriesPoints(colors=own, markers=["diamond"] * len(own), marker_sizes=[2.5] * len(own), names=names)
+        stream.log(stage.entity("joint", group, "knots"), marks, static=True)
+        stream.send_columns(stage.entity("joint", group, "knots"), [clock(path.knot_time)], _rows(path.knot_position[:, index]))
+
+
+def plot_outcomes(stream: rr.RecordingStream, stage: Stage, *, behind: bool, suffix: str) -> None:
+    """Log reward and distance of each arm, with the radii that count."""
+    episode, config = stage.episode, stage.episode.header.env["config"]
+    names = [arm + suffix for arm in stage.arms]
+    own = [cycle(ARMS, i) for i in range(len(stage.arms))]
+    colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
+    logarithm = np.log10(np.maximum(episode.distance, NEAREST))
+    curves = {("reward",): episode.reward, ("distance",): episode.distance, ("log_distance", "palm"): logarithm}
+    for place, values in curves.items():
+        lines(stream, stage.entity(*place), stage.outcomes, values, names=names, colours=colours, width=width)
+    if behind:
+        return
+    ends = clock(episode.time[[0, -1]])
+    for name, colour in (("boundary", FAIR), ("goal", GOOD)):
+        radius = float(config[f"{name}_radius"])
+        level, named = np.full((2, 1), np.log10(radius)), [f"{name} {radius:g} m"]
+        lines(stream, stage.entity("log_distance", name), ends, level, names=named, colours=[colour], width=1.0)
+
+
+def plot_flags(stream: rr.RecordingStream, stage: Stage) -> None:
+    """Log each flag as a lane that is coloured while the flag is up."""
+    episode = stage.episode
+    lanes: dict[str, tuple[Array, Colour]] = {"collision": (episode.collision, BAD), "instability": (episode.instability, BAD)}
+    for i, arm in enumerate(stage.arms):
+        lanes |= {f"boundary_{arm}": (episode.boundary[:, i], FAIR), f"goal_{arm}": (episode.goal[:, i], GOOD)}
+    # The last flag is held for one period more, or the one that ended the episode would have no width.
+    time = np.append(episode.time, episode.time[-1] + float(episode.header.episode["control_period"]))
+    for name, (flag, colour) in lanes.items():
+        entity, word = stage.entity("flag", name), name.split("_")[0]
+        up = np.concatenate([[False], flag, [False]])
+        change = np.flatnonzero(np.diff(up, prepend=~up[:1]))
+        look = rr.StateConfiguration(values=[word, NOT], colors=[colour, EXECUTED], visible=[True, False])
+        stream.log(entity, look, static=True)
+        states = rr.StateChange.columns(state=[word if up[i] else NOT for i in change])
+        stream.send_columns(entity, [clock(time[change])], states)
+
+
+def lines(
+    stream: rr.RecordingStream,
+    entity: str,
+    time: rr.TimeColumn,
+    values: Array,
+    *,
+    names: Sequence[str],
+    colours: Sequence[Colour],
+    width: float,
+    held: bool = False,
+) -> None:
+    """Log the columns of `values` (n, s) as s series of one entity; `held` draws them as steps instead of straight lines."""
+    mode = rr.components.InterpolationMode.StepAfter if held else rr.components.InterpolationMode.Linear
+    widths = np.full(len(names), width, dtype=np.float32)
+    stream.log(entity, rr.SeriesLines(names=names, colors=colours, widths=widths, interpolation_mode=mode), static=True)
+    stream.send_columns(entity, [time], _rows(values))
+
+
+def _rows(values: Array) -> rr.ComponentColumnList:
+    return rr.Scalars.columns(scalars=values.ravel()).partition(np.full(len(values), values.shape[1]))

@@ -1,0 +1,54 @@
+"""Episodes to one rerun recording, blueprint included: columns all the way, no loop over steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun as rr
+
+from coordlog.view import text
+from coordlog.view.camera import camera
+from coordlog.view.layout import layout
+from coordlog.view.plots import plot
+from coordlog.view.scene import draw
+from coordlog.view.show import Show, stages
+
+APPLICATION = "coordlog"
+MARKDOWN = "text/markdown"
+
+
+def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStream:
+    """Build the recording of one or more episodes on one time axis.
+
+    The recording waits in memory with its blueprint: `save` it, or `connect_grpc` it to a viewer.
+
+    Args:
+        shows: What to show; of several, the last is in front and the others are drawn pale in the plots.
+        ghosts: Draw the others translucent in the place of the last instead of beside it.
+
+    Raises:
+        ConfigError: without a show, or if two have one name.
+        FormatError: if a file's model is missing or cannot be used.
+    """
+    staged = stages(shows, ghosts=ghosts)
+    view = camera(staged)
+    stream = new_stream(APPLICATION, name=" and ".join(show.name for show in shows))
+    stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for stage in staged:
+        draw(stream, stage, view.eye)
+        plot(stream, stage, behind=stage is not staged[-1])
+        about = text.about(stage.episode, file=stage.show.file)
+        stream.log(stage.entity("about"), rr.TextDocument(about, media_type=MARKDOWN), static=True)
+        if stage.episode.result.aborted:
+            stream.log(stage.entity("banner"), rr.TextDocument(text.banner(stage.episode), media_type=MARKDOWN), static=True)
+    stream.send_blueprint(layout(staged, view))
+    return stream
+
+
+def new_stream(application: str, *, name: str) -> rr.RecordingStream:
+    """An empty recording without the timelines of the clock on the wall."""
+    stream = rr.RecordingStream(application)
+    stream.set_log_tick_enabled(False)
+    stream.set_log_time_enabled(False)
+    stream.send_recording_name(name)
+    return stream

@@ -1,0 +1,92 @@
+"""What an episode says about itself, as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from coordlog.episode import Episode
+
+
+def verdict(episode: Episode) -> str:
+    """How the episode went, in a few words."""
+    seconds, result = episode.time[-1], episode.result
+    if result.aborted:
+        return f"ABORTED after {seconds:.2f} s: {plain(result.aborted)}"
+    if result.clean:
+        return f"clean success after {seconds:.2f} s"
+    if result.success:
+        return f"success after {seconds:.2f} s, not clean: {_blemish(episode)}"
+    if episode.instability.any():
+        return f"fell after {seconds:.2f} s"
+    return f"goal not reached in {seconds:.2f} s" + (f"; {_blemish(episode)}" if episode.collision.any() else "")
+
+
+def title(episode: Episode) -> str:
+    """Which episode this is, in a few words."""
+    start = episode.header.episode
+    return f"{plain(start['scene'])} · {plain(start['split'])} seed {start['seed']} episode {start['index']}"
+
+
+def banner(episode: Episode) -> str:
+    """What must be read first about an episode that did not end by itself."""
+    return (
+        f"# This episode was cut short\n**{plain(episode.result.aborted)}** – {len(episode)} steps ({episode.time[-1]:.2f} s) "
+        "are in the file and shown here; its result says nothing about the policy."
+    )
+
+
+def about(episode: Episode, *, file: str = "") -> str:
+    """Result, origin and lineage of one episode."""
+    start, env, policy, lineage = (getattr(episode.header, name) for name in ("episode", "env", "policy", "lineage"))
+    lines = [f"### {title(episode)}", "", f"**{verdict(episode)}**", "", *_arms(episode), ""]
+    facts = {
+        "policy": policy["name"] or policy["kind"],
+        "checkpoint": policy["checkpoint_sha256"][:12],
+        "exploration noise": _pairs(policy["noise"]),
+        "steps": f"{len(episode)} of {start['control_period'] * 1000:g} ms",
+        "collisions": f"{int(episode.collision.sum())} steps, {len(episode.contacts)} contacts",
+        "robot": start["robot"],
+        "start pose": start["start"],
+        "file": file,
+        "run": start["run"],
+        "coordlog, MuJoCo": f"{env['coordlog_version']}, {env['mujoco_version']} on {env['architecture']}",
+        "made by": lineage["transform"],
+        "from": ", ".join(parent[:12] for parent in lineage["parents"]),
+    }
+    lines += [
+        f"| episode | {plain(start['id'])} |",
+        "|---|---|",
+        *(f"| {name} | {plain(value)} |" for name, value in facts.items() if value),
+    ]
+    if lineage["parameters"]:
+        lines += ["", "### Parameters", "", *(f"- {plain(name)}: {plain(value)}" for name, value in lineage["parameters"].items())]
+    return "\n".join(lines)
+
+
+def plain(value: object) -> str:
+    """Text from a file, made harmless in a Markdown table."""
+    return "".join(" " if letter in "|\r\n`" else letter for letter in str(value))
+
+
+def _arms(episode: Episode) -> list[str]:
+    rows = ["| arm | final distance | nearest | return |", "|---|---|---|---|"]
+    for i, arm in enumerate(episode.header.arms):
+        distance = episode.distance[:, i] if len(episode) else np.array([np.nan])
+        returned = episode.reward[:, i].sum()
+        rows.append(f"| {plain(arm)} | {distance[-1] * 100:.1f} cm | {distance.min() * 100:.1f} cm | {returned:.1f} |")
+    return rows
+
+
+def _blemish(episode: Episode) -> str:
+    parts = [f"{int(flag.sum())} steps of {name}" for name, flag in _faults(episode).items() if flag.any()]
+    return " and ".join(parts)
+
+
+def _faults(episode: Episode) -> Mapping[str, np.ndarray]:
+    return {"collision": episode.collision, "instability": episode.instability}
+
+
+def _pairs(values: Mapping[str, object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())
