@@ -22,8 +22,8 @@ Box3 = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 class Panel:
     """A fixed box: centre and half extents [m].
 
-    No half extent may be less than the thickest limb's radius: a capsule whose axis pierces a thinner box is reported as free by
-    MuJoCo's capsule-box test (tests/sim/test_scene.py shows it).
+    It must be thicker than any moving capsule's axis is long, less twice the capsule's radius: MuJoCo's capsule-box test does not notice a
+    capsule that pierces a box with both ends clear of it (tests/sim/test_scene.py shows it).
     """
 
     name: str
