@@ -10,6 +10,7 @@ Times are CPU times, which a busy machine does not change much; waiting for the 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import statistics
 import tempfile
@@ -237,6 +238,7 @@ def turns(variants: dict[str, Callable[[], object]]) -> dict[str, float]:
     seconds: dict[str, list[float]] = {name: [] for name in variants}
     for _ in range(ROUNDS):
         for name, run in variants.items():
+            gc.collect()
             begun = time.process_time()
             result = run()
             seconds[name].append(time.process_time() - begun)
