@@ -1,1 +1,25 @@
 """Joint trajectories made smooth, and proven no less safe than they were."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from coordlog.smooth.feasibility import Checker, DistanceChecker, Unobstructed, Verdict
+    from coordlog.smooth.limits import Limits
+    from coordlog.smooth.result import Result, Violation
+    from coordlog.smooth.smoother import smooth
+    from coordlog.smooth.spline import Spline, fit
+
+_HOME = {"fit": "spline", "smooth": "smoother", "Limits": "limits", "Result": "result", "Spline": "spline", "Violation": "result"}
+_HOME |= dict.fromkeys(("Checker", "DistanceChecker", "Unobstructed", "Verdict"), "feasibility")
+
+__all__ = ["Checker", "DistanceChecker", "Limits", "Result", "Spline", "Unobstructed", "Verdict", "Violation", "fit", "smooth"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load scipy only once something is used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'coordlog.smooth' has no attribute '{name}'")
+    return getattr(import_module(f"coordlog.smooth.{_HOME[name]}"), name)

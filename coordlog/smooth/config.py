@@ -1,0 +1,72 @@
+"""What may be chosen about smoothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from coordlog.errors import ConfigError, unknown
+
+METHODS = ("local", "paper", "shared")
+ENDS = ("auto", "rest", "keep", "natural")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Options of `coordlog.smooth.smooth`."""
+
+    method: str = "local"
+    """local: one cut-off for all joints, the path drawn towards the samples where a rule fails. shared: the lowest single
+    cut-off that is proven. paper: base to tip, one p for each joint by bisection, the knots alone deciding."""
+    cutoff: str | float = "max"
+    """Lowest cut-off [Hz] to smooth to; "max": half a period in the whole path, below which little is left to gain."""
+    max_deviation: float | None = None
+    """Largest distance of the path from any sample [rad]; None: as the rules allow."""
+    clearance: float = 0.0
+    """Distance that bodies must keep [m]."""
+    ends: str = "auto"
+    """Slope at the ends: rest (zero), keep (the given end velocities), natural (free, without bending).
+    auto: natural for the paper's method, rest for the others. The end points themselves are always exact."""
+    dense: int = 4
+    """Samples per knot at which a path is checked; 1: the knots alone."""
+    certify: bool = True
+    """Prove the stretches between samples as well; needs a checker that knows distances."""
+    budget: int | None = None
+    """Configurations the search may ask the checker about; None: no limit. What is proven by then stands."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: if one is unknown or out of its range.
+        """
+        if self.method not in METHODS:
+            raise unknown("method", self.method, METHODS)
+        if self.ends not in ENDS:
+            raise unknown("ends", self.ends, ENDS)
+        if self.cutoff != "max" and (isinstance(self.cutoff, str) or not self.cutoff > 0.0):
+            raise ConfigError(f"cutoff: expected 'max' or a frequency above 0 Hz, got {self.cutoff!r}")
+        if self.max_deviation is not None and not self.max_deviation > 0.0:
+            raise ConfigError(f"max_deviation: expected an angle above 0 rad, got {self.max_deviation!r}")
+        if not 0.0 <= self.clearance < float("inf"):
+            raise ConfigError(f"clearance: expected a distance of at least 0 m, got {self.clearance!r}")
+        if self.dense < 1 or (self.budget is not None and self.budget < 1):
+            raise ConfigError(f"dense, budget: expected at least 1, got {self.dense!r}, {self.budget!r}")
+
+    @classmethod
+    def of(cls, **options: Any) -> Config:
+        """A config from keywords.
+
+        Raises:
+            ConfigError: if a name is not an option, or a value out of its range.
+        """
+        names = [field.name for field in fields(cls)]
+        for name in options:
+            if name not in names:
+                raise unknown("option", name, names)
+        return cls(**options)
+
+    @property
+    def clamped(self) -> bool:
+        """Whether the slopes at the ends are fixed."""
+        return self.ends in ("rest", "keep") or (self.ends == "auto" and self.method != "paper")

@@ -1,0 +1,73 @@
+"""What asking a checker costs: configurations counted, and a budget kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coordlog.errors import SpecError
+from coordlog.smooth.arrays import Floats
+from coordlog.smooth.feasibility import Checker, DistanceChecker, Verdict
+
+
+class BudgetSpentError(Exception):
+    """The checker has been asked as often as was allowed."""
+
+
+class Counted:
+    """A checker that counts the configurations it is asked about, and stops at a budget."""
+
+    def __init__(self, checker: Checker) -> None:
+        """Wrap a checker, without a limit."""
+        self._checker = checker
+        self._distances = checker if isinstance(checker, DistanceChecker) else None
+        self.checks, self.slacks = 0, 0
+        self.budget: int | None = None
+        self.describe = checker.describe
+
+    @property
+    def measures(self) -> bool:
+        """Whether the checker knows distances too."""
+        return self._distances is not None
+
+    @property
+    def reach(self) -> Floats:
+        """As of the checker."""
+        assert self._distances is not None
+        return self._distances.reach
+
+    def check(self, time: Floats, q: Floats, clearance: float) -> Verdict:
+        """As `Checker.check`."""
+        self.checks += len(q)
+        self._stop()
+        return self._checker.check(time, q, clearance)
+
+    def slack(self, time: Floats, q: Floats, clearance: float) -> Floats:
+        """As `DistanceChecker.slack`."""
+        assert self._distances is not None
+        self.slacks += len(q)
+        self._stop()
+        return self._distances.slack(time, q, clearance)
+
+    def drift(self, start: Floats, stop: Floats) -> Floats:
+        """As `DistanceChecker.drift`."""
+        assert self._distances is not None
+        return self._distances.drift(start, stop)
+
+    def try_on(self, time: Floats, q: Floats, clearance: float) -> None:
+        """Ask once and look at the shapes of the answers, before they are relied on.
+
+        Raises:
+            SpecError: if one is wrong.
+        """
+        n, n_j = q.shape
+        verdict = self.check(time, q, clearance)
+        if any(np.shape(part) != (n,) for part in verdict):
+            raise SpecError(f"checker.check: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
+        if self.measures:
+            slack, reach = np.shape(self.slack(time, q, clearance)), np.shape(self.reach)
+            if len(reach) != 2 or reach[1] != n_j or slack != (n, reach[0]):
+                raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {slack} and {reach}")
+
+    def _stop(self) -> None:
+        if self.budget is not None and self.checks + self.slacks > self.budget:
+            raise BudgetSpentError

@@ -1,0 +1,125 @@
+"""How smooth a motion is: figures that lower is better of, except SPARC, which is better the closer to zero.
+
+All take uniform samples. Where a motion begins and ends at rest the jumps at its ends count, so jerk, acceleration and
+LDLJ see the samples padded with rest on both sides.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from coordlog.smooth.arrays import Floats
+from coordlog.smooth.knots import Knots
+from coordlog.smooth.spline import Spline
+
+
+class Metrics(NamedTuple):
+    """Figures of one path over all joints."""
+
+    jerk: float
+    """Root mean square over time of |q'''| [rad/s³], rest-padded."""
+    acceleration: float
+    """Root mean square over time of |q''| [rad/s²], rest-padded."""
+    sparc: float
+    """Spectral arc length of the speed |q'|, ≤ 0."""
+    ldlj: float
+    """Log dimensionless jerk, rest-padded; lower is smoother."""
+    path_length: float
+    """Σ |Δq| [rad]."""
+    max_deviation: float
+    """Largest distance of a joint from a sample of the log [rad]."""
+    end_error: float
+    """Largest distance of a joint from the log at either end [rad]."""
+
+
+def measure(path: Spline, knots: Knots) -> Metrics:
+    """Figures of a path, sampled at the log's median period, and how far it lies from the log."""
+    n = max(2, round((path.time[-1] - path.time[0]) / knots.unit) + 1)
+    time, dt = np.linspace(path.time[0], path.time[-1], n, retstep=True)
+    q, away = path(time), abs(path(knots.time) - knots.position)
+    return Metrics(
+        jerk=jerk(q, float(dt)),
+        acceleration=acceleration(q, float(dt)),
+        sparc=sparc(speed(q, float(dt)), float(dt)),
+        ldlj=log_dimensionless_jerk(q, float(dt)),
+        path_length=path_length(q),
+        max_deviation=float(away.max()),
+        end_error=float(away[[0, -1]].max()),
+    )
+
+
+def jerk(q: Floats, dt: float) -> float:
+    """Root mean square of the third difference over dt³ of samples (n, n_j), rest-padded."""
+    return _rms(q, dt, 3)
+
+
+def acceleration(q: Floats, dt: float) -> float:
+    """Root mean square of the second difference over dt² of samples (n, n_j), rest-padded."""
+    return _rms(q, dt, 2)
+
+
+def speed(q: Floats, dt: float) -> Floats:
+    """Speed |Δq| / dt between samples (n, n_j), shape (n - 1,)."""
+    return np.asarray(np.linalg.norm(np.diff(q, axis=0), axis=1) / dt)
+
+
+def path_length(q: Floats) -> float:
+    """Length of the polyline through samples (n, n_j), of joints [rad] or of a hand [m]."""
+    return float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
+
+
+def log_dimensionless_jerk(q: Floats, dt: float) -> float:
+    """Log of ∫ |q'''|² dt · T³ / max |q'|², rest-padded; -∞ for a motion that does not move.
+
+    Source: Balasubramanian et al. 2015, J. NeuroEng. Rehabil. 12:112 (there with the opposite sign).
+    """
+    fastest, duration = speed(q, dt).max(), dt * (len(q) - 1)
+    if fastest == 0.0:
+        return -np.inf
+    energy = (_padded_difference(q, dt, 3) ** 2).sum() * dt
+    return float(np.log(energy * duration**3 / fastest**2))
+
+
+def sparc(speed: Floats, dt: float, *, cutoff: float = 10.0, threshold: float = 0.05) -> float:
+    """Spectral arc length: the length of the normalised spectrum of a speed profile, negated.
+
+    Args:
+        speed: Speed at uniform times, shape (n,).
+        dt: Sample period [s].
+        cutoff: Highest frequency looked at [Hz].
+        threshold: The spectrum is cut where it stays below this share of its peak.
+
+    Source: Balasubramanian et al. 2015, J. NeuroEng. Rehabil. 12:112.
+    """
+    if not speed.any():
+        return 0.0
+    n = 2 ** (int(np.ceil(np.log2(len(speed)))) + 4)
+    frequency, size = np.fft.rfftfreq(n, dt), abs(np.fft.rfft(speed, n))
+    low = frequency <= cutoff
+    frequency, size = frequency[low], size[low] / size.max()
+    above = np.flatnonzero(size >= threshold)
+    frequency, size = frequency[above[0] : above[-1] + 1], size[above[0] : above[-1] + 1]
+    if len(frequency) < 2:
+        return 0.0
+    return float(-np.hypot(np.diff(frequency) / (frequency[-1] - frequency[0]), np.diff(size)).sum())
+
+
+def torque_rate(torque: Floats, dt: float) -> float:
+    """Root mean square over time of |Δτ| / dt [Nm/s] of torques (n, n_u)."""
+    return float(np.sqrt((np.diff(torque, axis=0) ** 2).sum() / (len(torque) - 1)) / dt)
+
+
+def torque_peak(torque: Floats) -> float:
+    """Largest |τ| of any joint [Nm], torques (n, n_u)."""
+    return float(abs(torque).max())
+
+
+def _rms(q: Floats, dt: float, order: int) -> float:
+    return float(np.sqrt((_padded_difference(q, dt, order) ** 2).sum() / len(q)))
+
+
+def _padded_difference(q: Floats, dt: float, order: int) -> Floats:
+    padded = np.concatenate([np.repeat(q[:1], order, axis=0), q, np.repeat(q[-1:], order, axis=0)])
+    return np.asarray(np.diff(padded, order, axis=0) / dt**order)

@@ -1,0 +1,125 @@
+"""The paper's method: joint by joint from the base, the smallest p by bisection, judged at the knots alone.
+
+Faithful to Algorithms 2 to 4, with four errors mended: the residual is squared, p = 1 is tried first (it need not be
+free), the p returned is the last one that was found free, and the whole path is proven afterwards like any other. p is in
+units of the step index. What makes it fast changes no p: a knot is asked about only where its configuration has moved
+further than the slack it is known to have, and knots that failed last are asked first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from coordlog.smooth.arrays import Floats, Ints
+from coordlog.smooth.cutoff import lam_from_p, p_from_lam
+from coordlog.smooth.problem import Candidate, Problem
+from coordlog.smooth.spline import Spline
+
+_PRECISION = 1e-6  # of p, as in the paper
+_BLOCK = 32  # knots asked about at once, before looking whether one has failed
+_REFRESH = 4  # times a knot is asked about for one joint before it is worth measuring its slack anew
+
+
+def paper(problem: Problem) -> Iterator[Candidate]:
+    """Yield the path of the paper's search if it can be proven."""
+    lam = search(problem)
+    if lam is not None:
+        spline = problem.grid.fit_each(problem.knots.position, lam=lam, weight=problem.knots.weight, velocity=problem.velocity)
+        proof = problem.judge.prove(spline, lenient=True)
+        if not len(proof.found):
+            yield problem.candidate(spline, lam, proof)
+
+
+def search(problem: Problem) -> Floats | None:
+    """Find λ [s³] of each joint (n_j,), Algorithms 2 to 4; None if the samples themselves break a rule at a knot."""
+    knots, unit = _Knots(problem), problem.grid.unit
+    if not knots.start():
+        return None
+    lowest = 0.0 if problem.config.cutoff == "max" else float(p_from_lam(problem.lam_max, unit))
+    lam = np.zeros(knots.path.shape[1])
+    for joint in range(len(lam)):
+        knots.turn_to(joint)
+        lower, upper = lowest, 1.0
+        while upper - lower >= _PRECISION:
+            middle = 0.5 * (lower + upper)
+            if knots.free(_fit(problem, joint, middle).position[:, 0]):
+                upper = middle
+            else:
+                lower = middle
+        lam[joint] = lam_from_p(upper, unit)
+        knots.accept(_fit(problem, joint, upper).position[:, 0])
+    return lam
+
+
+def _fit(problem: Problem, joint: int, p: float) -> Spline:
+    column = slice(joint, joint + 1)
+    ends = None if problem.velocity is None else problem.velocity[:, column]
+    lam = float(lam_from_p(p, problem.grid.unit))
+    return problem.grid.fit(problem.knots.position[:, column], lam=lam, weight=problem.knots.weight, velocity=ends)
+
+
+class _Knots:
+    """The path at its knots, always free there, and what is known about how far each knot may move."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.path = problem.knots.position.copy()
+        self._problem, self._asked = problem, problem.judge.asked
+        self._measured = self.path.copy()
+        self._failed = np.zeros(0, np.intp)
+        self._times = np.zeros(len(self.path), int)  # asked about each knot since `turn_to`
+
+    def start(self) -> bool:
+        """Whether the samples are free, p = 1 for every joint."""
+        if not self._within(slice(None), self.path) or not self._ask(np.arange(len(self.path)), self.path):
+            return False
+        if self._asked.measures:
+            self._slack = self._asked.slack(self._problem.knots.time, self.path, self._problem.config.clearance)
+        return True
+
+    def turn_to(self, joint: int) -> None:
+        """Take the next joint, and bound how far each knot may turn it: `_room`, rad."""
+        self._joint = joint
+        self._times = np.zeros(len(self.path), int)
+        self._room = np.zeros(len(self.path))
+        if self._asked.measures and self._asked.reach.size:
+            reach = self._asked.reach
+            pairs = np.flatnonzero(reach[:, joint] > 0.0)  # the others do not notice, and are free as the path stands
+            left = self._slack[:, pairs] - abs(self.path - self._measured) @ reach[pairs].T
+            self._room = (left / reach[pairs, joint]).min(axis=1, initial=np.inf)
+
+    def free(self, values: Floats) -> bool:
+        """Whether the path with these angles of the joint, (K,), keeps every rule at the knots."""
+        if not self._within(self._joint, values):
+            return False
+        turned = abs(values - self.path[:, self._joint])
+        ask = np.flatnonzero((turned > 0.0) & ~(turned < self._room))
+        path = self.path.copy()
+        path[:, self._joint] = values
+        first = np.intersect1d(self._failed, ask)
+        return all(self._ask(block, path) for block in (first, np.setdiff1d(ask, first)))
+
+    def accept(self, values: Floats) -> None:
+        """Make these angles of the joint part of the path; where slack ran short, measure it anew."""
+        self.path[:, self._joint] = values
+        short = np.flatnonzero(self._times >= _REFRESH)
+        if self._asked.measures and len(short):
+            time = self._problem.knots.time[short]
+            self._slack[short] = self._asked.slack(time, self.path[short], self._problem.config.clearance)
+            self._measured[short] = self.path[short]
+
+    def _ask(self, index: Ints, path: Floats) -> bool:
+        for block in (index[i : i + _BLOCK] for i in range(0, len(index), _BLOCK)):
+            self._times[block] += 1
+            free = self._asked.check(self._problem.knots.time[block], path[block], self._problem.config.clearance).free
+            if not free.all():
+                self._failed = np.concatenate([block[~free], self._failed])[:_BLOCK]
+                return False
+        return True
+
+    def _within(self, joint: int | slice, values: Floats) -> bool:
+        lower, upper = self._problem.judge.widths[:2]
+        deviation = self._problem.config.max_deviation
+        inside = bool(((values >= lower[joint]) & (values <= upper[joint])).all())
+        return inside and (deviation is None or bool((abs(values - self._problem.knots.position[:, joint]) <= deviation).all()))

@@ -1,0 +1,60 @@
+"""One path to smooth: what all three methods work on, and what they hand back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coordlog.smooth.arrays import Floats
+from coordlog.smooth.config import Config
+from coordlog.smooth.cutoff import lam_from_cutoff
+from coordlog.smooth.judge import Judge, Proof
+from coordlog.smooth.knots import Knots
+from coordlog.smooth.spline import Grid, Spline
+
+_LAM_MAX = 1e12  # knots³, a period of 6 000 knots; beyond it double precision leaves noise in the jerk
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A path that may be returned, and how it came about."""
+
+    spline: Spline
+    lam: Floats  # (n_j,) s³
+    weight: Floats  # (K,)
+    proof: Proof
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Knots, rules and options of one path."""
+
+    knots: Knots
+    raw: Spline
+    """The interpolant of the knots, with the same ends: what a candidate is compared with, and replaced by."""
+    grid: Grid
+    velocity: Floats | None
+    """Slopes at the ends, (2, n_j) rad/s; None: natural ends."""
+    judge: Judge
+    config: Config
+
+    def fit(self, lam: float, *, weight: Floats | None = None, target: Floats | None = None) -> Spline:
+        """The smoothing spline of all joints for one λ [s³]; weights and samples default to those of the knots."""
+        return self.grid.fit(
+            self.knots.position if target is None else target,
+            lam=lam,
+            weight=self.knots.weight if weight is None else weight,
+            velocity=self.velocity,
+        )
+
+    @property
+    def lam_max(self) -> float:
+        """λ [s³] of the lowest cut-off asked for; "max" is half a period in the whole path."""
+        asked = 0.5 / (self.knots.time[-1] - self.knots.time[0]) if self.config.cutoff == "max" else float(self.config.cutoff)
+        return min(float(lam_from_cutoff(asked, self.grid.unit)), _LAM_MAX * self.grid.unit**3)
+
+    def candidate(self, spline: Spline, lam: float | Floats, proof: Proof, weight: Floats | None = None) -> Candidate:
+        """Wrap up a path that was proven."""
+        each = np.broadcast_to(np.asarray(lam, dtype=float), self.knots.position.shape[1:])
+        return Candidate(spline, each, self.knots.weight if weight is None else weight, proof)

@@ -1,0 +1,86 @@
+"""What smoothing hands back: the path, how far it can be trusted, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from coordlog import episode
+from coordlog.smooth.arrays import Floats
+from coordlog.smooth.config import Config
+from coordlog.smooth.cutoff import cutoff_from_lam, p_from_lam
+from coordlog.smooth.knots import Knots
+from coordlog.smooth.metrics import Metrics
+from coordlog.smooth.spline import Spline
+
+SMOOTHED = "smoothed"
+"""Proven by every rule asked for."""
+PARTLY = "partly"
+"""Proven free of collision, but something asked for was not to be had; the reason names it."""
+KEPT_RAW = "kept_raw"
+"""Nothing smoother could be proven: the path is the log's."""
+RAW_INFEASIBLE = "raw_infeasible"
+"""The log itself breaks a rule, and the path, smoothed or not, breaks it there too, no more deeply. Not safe."""
+
+
+class Violation(NamedTuple):
+    """One rule that is broken, for people."""
+
+    kind: str
+    """contact, range, speed, acceleration, deviation or unproven."""
+    time: float
+    """Within the path [s]."""
+    what: str
+    """The pair as the checker describes it, or the joint."""
+    depth: float
+    """By how much: m for contact, otherwise rad, rad/s, rad/s²."""
+
+    def __str__(self) -> str:
+        """As part of a sentence."""
+        if self.kind == "unproven":
+            return f"{self.what} at {self.time:.3f} s, too close to be proven free"
+        unit = {"contact": "m too close", "range": "rad out of range", "speed": "rad/s too fast"}
+        unit |= {"acceleration": "rad/s² too much acceleration", "deviation": "rad too far from the log"}
+        return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {unit[self.kind]}"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A smoothed path, or the raw one and the reason."""
+
+    status: str
+    """smoothed, partly, kept_raw or raw_infeasible."""
+    reason: str
+    """One sentence; "" when smoothed."""
+    violation: Violation | None
+    """The breach that the reason speaks of."""
+    certified: bool
+    """Proven free between samples too: at the clearance asked when smoothed, otherwise at least without touching."""
+    spline: Spline
+    knots: Knots
+    weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
+    lam: Floats  # (n_j,) s³, 0 for a joint left raw
+    checks: int
+    """Configurations the checker decided on."""
+    slacks: int
+    """Configurations whose distances it measured."""
+    cpu: float
+    """Processor time [s]."""
+    before: Metrics
+    after: Metrics
+    config: Config
+
+    @property
+    def p(self) -> Floats:
+        """The paper's smoothing parameter of each joint, in units of the step index, shape (n_j,)."""
+        return p_from_lam(self.lam, self.knots.unit)
+
+    @property
+    def cutoff(self) -> Floats:
+        """Cut-off of each joint at unit weight [Hz], shape (n_j,); infinite for a joint left raw."""
+        return cutoff_from_lam(self.lam, self.knots.unit)
+
+    def path(self) -> episode.Path:
+        """Knots and spline as an episode carries them."""
+        knots, spline = self.knots, self.spline
+        return episode.Path(knots.time, knots.position, self.weight, spline.time, spline.position, spline.velocity)
