@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from coordlog.episode import Array
 from coordlog.errors import FormatError
 from coordlog.record.cdr import Codec
-from coordlog.record.records import RECORD_HEAD
+from coordlog.record.records import RECORD_HEAD, walk
 
 COMPRESSION, LEVEL = "zstd", -1
 """Mantissas of float64 states do not compress, whatever the effort: level 1 saves 3 % and takes four times as long to expand."""
@@ -92,6 +92,8 @@ def decode(codec: Codec, records: Sequence[bytes | memoryview]) -> tuple[Array, 
     if others or (rows["length"] != wanted).any():
         got = next(iter(others)) - RECORD_HEAD.size if others else rows["length"].max()
         raise FormatError(f"{codec.name}: expected messages of {wanted} bytes for this robot, got one of {got}")
+    if ((rows["opcode"] != Opcode.MESSAGE) | (rows["channel"] != rows["channel"][:1])).any():
+        raise FormatError(f"{codec.name}: expected messages of one channel, got other records between them")
     return rows["log_time"], codec.decode(rows["payload"])
 
 
@@ -148,22 +150,29 @@ def expand(content: memoryview, *, verify: bool = True) -> bytes:
     return data
 
 
-def split(data: bytes) -> tuple[bytes, dict[int, list[bytes]]]:
-    """The definitions at the start of an expanded chunk, and its message records by channel.
+def definitions(data: bytes) -> bytes:
+    """The schema and channel records at the start of an expanded chunk."""
+    end = 0
+    for span in walk(data, 0):
+        if span.opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            break
+        end = span.end
+    return data[:end]
+
+
+def split(data: bytes, start: int) -> dict[int, list[bytes]]:
+    """The message records of an expanded chunk by channel; `start` is where its definitions end.
 
     Raises:
-        FormatError: if the records do not fill the chunk exactly, or definitions follow messages.
+        FormatError: if anything but messages follows, or they do not fill the chunk exactly.
     """
     messages: dict[int, list[bytes]] = {}
     kinds: dict[bytes, tuple[list[bytes], int]] = {}  # where records with this head go, and how long they are
-    at, size, definitions = 0, len(data), 0
+    at, size = start, len(data)
     while at + _MESSAGE_HEAD.size <= size:
         head = data[at : at + _MESSAGE_HEAD.size]
         if head not in kinds:
             opcode, length, channel = _MESSAGE_HEAD.unpack(head)
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not messages:
-                at = definitions = at + RECORD_HEAD.size + length
-                continue
             if opcode != Opcode.MESSAGE:
                 raise FormatError(f"chunk: unexpected record {opcode:#x} at byte {at}")
             kinds[head] = messages.setdefault(channel, []), RECORD_HEAD.size + length
@@ -172,7 +181,25 @@ def split(data: bytes) -> tuple[bytes, dict[int, list[bytes]]]:
         at += length
     if at != size:
         raise FormatError(f"chunk: its records end at byte {at} of {size}")
-    return data[:definitions], messages
+    return messages
+
+
+def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
+    """One channel and its message records in an expanded chunk, through its message index; for messages of equal length.
+
+    Raises:
+        FormatError: if the index points to something else; that every record is a message, `decode` verifies.
+    """
+    try:
+        (channel,) = struct.unpack_from("<H", index)
+        offsets = np.frombuffer(index[6:], _INDEX_ENTRY)["offset"].tolist()
+        opcode, length, found = _MESSAGE_HEAD.unpack_from(data, offsets[0]) if offsets else (Opcode.MESSAGE, 0, channel)
+    except (struct.error, ValueError) as error:
+        raise FormatError(f"message index: {error}") from None
+    if (opcode, found) != (Opcode.MESSAGE, channel):
+        raise FormatError(f"message index: expected a message of channel {channel} at byte {offsets[0]}, got another record")
+    size = RECORD_HEAD.size + length
+    return channel, [data[at : at + size] for at in offsets]
 
 
 def _string(value: str) -> bytes:

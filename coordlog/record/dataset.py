@@ -32,6 +32,7 @@ _T = TypeVar("_T")
 
 SUFFIX = ".mcap"
 
+_TOPICS = frozenset({STEP.topic, FINAL.topic})
 _GROUP = 16  # files decoded together: their blocks stay in the cache
 
 
@@ -173,7 +174,7 @@ class _Loaded:
     def __init__(self, index: int, path: Path) -> None:
         data = load(path)
         with naming(path):
-            found: Contents = contents(data)
+            found: Contents = contents(data, only=_TOPICS)
             require_version(found.metadata.get(EPISODE, {}))
             self.layout, self.arms = decode_layout(found.metadata.get(ENV, {}))
             self.result: Result = decode_result(found.metadata.get(RESULT, {}))

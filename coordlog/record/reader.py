@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.record.chunk import expand, split
+from coordlog.record.chunk import definitions, expand, indexed, split
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result, require_version
 from coordlog.record.opening import File, load, naming, no_marker, opened, require_coordlog, summary_start, verify_summary
@@ -41,17 +41,30 @@ class Contents:
     """The records of one file, expanded but not decoded; messages by topic."""
 
     metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
-    attachments: list[memoryview] = field(default_factory=list)
     messages: dict[str, list[bytes]] = field(default_factory=dict)
+    topics: dict[int, str] = field(default_factory=dict)
+    """topic of each channel defined so far"""
 
-    def add_chunk(self, data: bytes, topics: dict[int, str]) -> None:
-        """Add the messages of an expanded chunk; `topics` learns the channels that it defines."""
-        definitions, messages = split(data)
-        topics |= {channel.id: channel.topic for channel in unpack_definitions(definitions)[1]}
-        for channel, records in messages.items():
-            if channel not in topics:
-                raise FormatError(f"chunk: messages of an undefined channel {channel}")
-            self.messages.setdefault(topics[channel], []).extend(records)
+    def add_chunk(self, data: bytes) -> None:
+        """Add all messages of an expanded chunk, and the channels that it defines."""
+        for channel, records in split(data, self.define(data)).items():
+            self._add(channel, records)
+
+    def add_indexed(self, data: bytes, index: memoryview, topics: frozenset[str]) -> None:
+        """Add the messages of one channel of an expanded chunk, given its message index, if it is on one of these topics."""
+        if self.topics.get(int.from_bytes(index[:2], "little")) in topics:
+            self._add(*indexed(data, index))
+
+    def define(self, data: bytes) -> int:
+        """Learn the channels that an expanded chunk defines; where its messages start."""
+        records = definitions(data)
+        self.topics |= {channel.id: channel.topic for channel in unpack_definitions(records)[1]}
+        return len(records)
+
+    def _add(self, channel: int, records: list[bytes]) -> None:
+        if channel not in self.topics:
+            raise FormatError(f"chunk: messages of an undefined channel {channel}")
+        self.messages.setdefault(self.topics[channel], []).extend(records)
 
 
 def read_header(path: File) -> Header:
@@ -141,24 +154,33 @@ def read_attachments(path: File) -> dict[str, bytes]:
     return dict(found)
 
 
-def contents(data: bytes, *, verify: bool = True) -> Contents:
+def contents(data: bytes, *, verify: bool = True, only: frozenset[str] | None = None) -> Contents:
     """The records of a finished file.
+
+    Args:
+        data: All of its bytes.
+        verify: Refuse a chunk whose CRC differs.
+        only: Look at these topics alone, found through the message indexes; their messages must be of one length.
 
     Raises:
         TruncatedError: if there is no commit marker.
         FormatError: if a record is damaged.
     """
-    view, found, topics, at = memoryview(data), Contents(), dict[int, str](), len(MAGIC)
+    view, found, chunk, at = memoryview(data), Contents(), b"", len(MAGIC)
     stop = summary_start(view[-TAIL_SIZE:], len(data))
     for span in walk(view, stop=stop):
         content, at = view[span.start : span.end], span.end
-        if span.opcode == Opcode.CHUNK:
-            found.add_chunk(expand(content, verify=verify), topics)
-        elif span.opcode == Opcode.METADATA:
+        if span.opcode == Opcode.METADATA:
             name, values = unpack_metadata(bytes(content))
             found.metadata[name] = values
-        elif span.opcode == Opcode.ATTACHMENT:
-            found.attachments.append(content)
+        elif span.opcode == Opcode.CHUNK:
+            chunk = expand(content, verify=verify)
+            if only is None:
+                found.add_chunk(chunk)
+            else:
+                found.define(chunk)
+        elif span.opcode == Opcode.MESSAGE_INDEX and only is not None:
+            found.add_indexed(chunk, content, only)
     if at != stop:
         raise FormatError(f"the record at byte {at} is damaged; `coordlog recover` keeps what comes before it")
     return found

@@ -155,12 +155,12 @@ def salvaged(data: bytes) -> Salvage:
 
 
 def _ground(data: bytes) -> _Ground:
-    ground, topics, at, view = _Ground(), dict[int, str](), len(MAGIC), memoryview(data)
+    ground, at, view = _Ground(), len(MAGIC), memoryview(data)
     for span in walk(data):
         content = view[span.start : span.end]
         try:
             if span.opcode == Opcode.CHUNK:
-                ground.found.add_chunk(expand(content), topics)
+                ground.found.add_chunk(expand(content))
             elif span.opcode == Opcode.METADATA:
                 name, values = unpack_metadata(bytes(content))
                 ground.found.metadata[name] = values

@@ -12,7 +12,7 @@ from synthetic import ATTACHMENTS, HUMANOID, PLANAR, make_episode, rewards, with
 from coordlog.episode import CONTACT
 from coordlog.errors import StorageError
 from coordlog.record.check import check
-from coordlog.record.chunk import encode, expand, split
+from coordlog.record.chunk import definitions, encode, expand, split
 from coordlog.record.records import walk
 from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, STEP
@@ -70,8 +70,9 @@ def test_a_bit_flipped_in_a_chunk_names_a_step_it_reached(file, episode):
     data = file.read_bytes()
     first = 0
     for span in [span for span in walk(data) if span.opcode == Opcode.CHUNK][:-1]:
-        count = len(split(expand(memoryview(data)[span.start : span.end]))[1][1])
-        for at in range(span.start, span.end, 97):
+        chunk = expand(memoryview(data)[span.start : span.end])
+        count = len(split(chunk, len(definitions(chunk)))[1])
+        for at in range(span.start, span.end, 151):
             with open(file, "r+b") as stream:
                 stream.seek(at)
                 stream.write(bytes([data[at] ^ 4]))

@@ -1,11 +1,15 @@
+import os
+
 import numpy as np
 import pyarrow as pa
 import pytest
-from synthetic import ATTACHMENTS, PLANAR, TINY, assert_same, make_episode, make_header
+from mcap.opcode import Opcode
+from synthetic import ATTACHMENTS, PLANAR, TINY, assert_same, make_episode, make_header, outcome
 from test_reader import bad_files
 
 from coordlog.errors import FormatError, SpecError, StorageError, TruncatedError
 from coordlog.record import dataset
+from coordlog.record.records import walk
 from coordlog.record.writer import write_episode
 from coordlog.spec import STEP
 
@@ -164,3 +168,22 @@ def test_a_part_file_that_is_named_is_refused(folder, episodes):
     (folder / "f.mcap.part").write_bytes(data[: len(data) // 2])
     with pytest.raises(TruncatedError, match="coordlog recover"):
         dataset.open(folder / "f.mcap.part")
+
+
+def test_a_message_index_that_points_elsewhere_is_never_believed(tmp_path, rng):
+    """A table finds its messages through the index, which no CRC of its own protects."""
+    path = tmp_path / "a.mcap"
+    episode = make_episode(rng, length=40, layout=TINY, header=make_header(TINY))
+    write_episode(path, episode, attachments={}, display=True)
+    data = path.read_bytes()
+    wanted = dataset.open(path).to_table()
+    refused = 0
+    places = [at for span in walk(data) if span.opcode == Opcode.MESSAGE_INDEX for at in range(span.start, span.end)]
+    with open(path, "r+b", buffering=0) as stream:
+        for at in places:
+            os.pwrite(stream.fileno(), bytes([data[at] ^ 1 << int(rng.integers(0, 8))]), at)
+            table = outcome(dataset.open(path).to_table)
+            refused += isinstance(table, FormatError)
+            assert isinstance(table, FormatError) or table.equals(wanted)
+            os.pwrite(stream.fileno(), data[at : at + 1], at)
+    assert refused > 40 * 8
