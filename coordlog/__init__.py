@@ -1,9 +1,8 @@
 """coordlog: robot episodes that are never lost, never silently wrong, and always replayable.
 
-    import coordlog
-
-    for episode in coordlog.open("logs/"):
-        print(episode.header.episode["scene"], len(episode), episode.result.clean)
+>>> import coordlog
+>>> for episode in coordlog.open("logs/"):  # doctest: +SKIP
+...     print(episode.header.episode["scene"], len(episode), episode.result.clean)
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _HOMES = {
     "to_rerun": "coordlog.view",
 }
 
-__all__ = ["Dataset", "Episode", "GymEnv", "__version__", "open", "smooth", "to_rerun"]  # noqa: F822
+__all__ = ["Dataset", "Episode", "GymEnv", "__version__", "open", "smooth", "to_rerun"]
 
 
 def __getattr__(name: str) -> Any:

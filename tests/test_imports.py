@@ -15,7 +15,13 @@ SIBLINGS = ("record", "train", "smooth", "view")
 FLOORS = ("version", "errors", "spec", "episode", "sim", "rollout", "scoring", "scripted", *SIBLINGS, "commands", "cli")
 """From the ground up; a room may import rooms before it, and siblings none of one another."""
 OWNERS = {"mujoco": "sim", "torch": "train", "mcap": "record", "rerun": "view"}
-MODULES = {path: ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__") for path in PACKAGE.rglob("*.py")}
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {path: name_of(path) for path in PACKAGE.rglob("*.py")}
 
 
 def imports(path: Path) -> set[str]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from coordlog.commands import terminal
+from coordlog.errors import StorageError
 
 
 def scenes(
@@ -59,13 +60,19 @@ def _row(name: str) -> dict[str, Any]:
 
 
 def _render(folder: Path) -> None:
-    from coordlog.sim.picture import save_picture
+    from coordlog.sim.picture import picture, write_png
     from coordlog.sim.scene import SCENES
 
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot make the folder: {error.strerror}") from error
     for name in SCENES:
         path = folder / f"{name}.png"
-        save_picture(SCENES[name], path)
-        terminal.out.print(str(path))
+        if path.exists():
+            raise StorageError(f"{path}: the file exists and is not overwritten; choose another folder")
+        write_png(path, picture(SCENES[name]))
+        terminal.out.print(str(path), highlight=False)
 
 
 def _point(values: tuple[float, ...]) -> str:

@@ -24,7 +24,7 @@ NEAR = 0.12
 """Palm correction starts within this distance of the last way point [rad]."""
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
-CLEARANCES = (0.02, 0.01, 0.0)
+CLEARANCES = (0.01, 0.0)
 RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
 TRIES = 12
@@ -113,12 +113,12 @@ class Expert:
         return [*self._ways[0], ends[0]]
 
     def _ends(self, goals: Array, rng: np.random.Generator) -> list[Array]:
-        """Legal postures with the palms on the goals, as different as the seeds they were found from; the start posture if there is none."""
+        """Legal postures with the palms on the goals, as different as their seeds; the start posture if there is none."""
         seeds = [way[-1] for way in self._ways if way]
         found = [self._reach.solve(goals, seed=seed) for seed in seeds] + [self._reach.solve(goals)]
         legal = [end for end in found if end is not None]
         for _ in range(RESTARTS if not legal else 0):
-            end = self._reach.solve(goals, seed=rng.uniform(*self._task.limits.T))
+            end = self._reach.solve(goals, seed=np.asarray(rng.uniform(*self._task.limits.T)))
             if end is not None:
                 return [end]
         return legal or [self._reach.standing_angles]
@@ -145,4 +145,4 @@ def _ways(task: Task) -> list[list[Array]]:
     wide = posture(shoulder_x=45, elbow_y=-110)
     folded = posture(shoulder_x=25, shoulder_y=30, elbow_y=-140)
     high = posture(shoulder_x=30, shoulder_y=-40, elbow_y=-120)
-    return [[out, home], [folded, home], [out, high], [folded, high], [out, wide], [out, wide, high]]
+    return [[folded, home], [out, home], [folded, high], [out, high], [out, wide], [out, wide, high]]

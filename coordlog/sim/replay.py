@@ -93,7 +93,7 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
         _observe(columns, simulation, np.flatnonzero(lengths >= step), step)
         running = np.flatnonzero(lengths > step)
         if len(running):
-            outcome = simulation.step(np.stack([logs[i].action[step] for i in running]), running)
+            outcome = simulation.step(np.stack([logs[int(i)].action[step] for i in running]), running)
             _store(columns, contacts, outcome, running, step)
     return [Trace(columns[i], np.concatenate(rows) if rows else np.zeros(0, dtype=CONTACT)) for i, rows in enumerate(contacts)]
 

@@ -90,7 +90,7 @@ def test_ctrl_c_closes_open_episodes_and_exits_130(tmp_path: Path) -> None:
 
 
 def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> None:
-    for number in range(4):
+    for number in range(3):
         folder = tmp_path / str(number)
         args = ["record", "--scene", "planar", "--policy", "random", "--episodes", "100000", "--envs", "4", "--out", str(folder)]
         process = subprocess.Popen([*COORDLOG, *args], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -103,7 +103,6 @@ def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> 
         finished, parts = list(folder.glob("*.mcap")), list(folder.glob("*.mcap.part"))
         assert finished
         assert len(finished) + len(parts) == len(list(folder.iterdir()))
-        run("check", *finished, "--jobs", "1")
         for part in parts:
             done = subprocess.run([*COORDLOG, "recover", str(part)], capture_output=True, text=True, check=False)
             assert done.returncode in (0, 2, 3), done.stderr
@@ -112,7 +111,8 @@ def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> 
             if done.returncode == 2:  # nothing in it yet, or killed between giving the file its name and dropping the other
                 assert "nothing to recover" in done.stderr or recovered in finished, done.stderr
             else:
-                run("check", recovered, "--jobs", "1")
+                finished.append(recovered)
+        run("check", *finished, "--jobs", "1")
 
 
 def test_a_full_disk_is_said_and_leaves_nothing_half_renamed(tmp_path: Path) -> None:
