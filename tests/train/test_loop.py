@@ -11,7 +11,9 @@ import pytest
 import toy_arms as toy
 
 from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.train.buffer import Block
 from coordlog.train.checkpoint import load_arrays
+from coordlog.train.exploration import Exploring
 from coordlog.train.logs import Columns
 from coordlog.train.loop import KIND, Trainer
 from coordlog.train.metrics import TIMING, read_metrics
@@ -114,6 +116,20 @@ def test_simulating_beside_the_updates_changes_nothing(assignments: tuple[str, .
     assert weights(tmp_path / "true") == weights(tmp_path / "false")
 
 
+@pytest.mark.parametrize("overlap", ["true", "false"])
+def test_a_block_is_collected_by_the_actor_before_the_updates_beside_it(overlap: str, tmp_path: Path) -> None:
+    ages = []
+
+    class Watched(toy.ToySource):
+        def collect(self, steps: int, policy: Exploring) -> Block:  # type: ignore[override]
+            ages.append(policy.policy.about["updates"])  # type: ignore[attr-defined]
+            return super().collect(steps, policy)
+
+    Trainer(toy.task(), settings(*LIVE, f"loop.overlap={overlap}"), folder=tmp_path, source=Watched(8)).run()
+    steps = np.arange(0, 448, 32)
+    assert ages == [int(0.3 * max(0, before - 64)) for before in steps - 32]
+
+
 def test_another_seed_is_another_run(tmp_path: Path) -> None:
     for seed in (0, 1):
         trainer(tmp_path / str(seed), settings(*LIVE, f"loop.seed={seed}"), live=True).run()
@@ -155,17 +171,17 @@ def test_a_policy_learns_from_logs_alone(tmp_path: Path) -> None:
     assert best.about["updates"] <= outcome.updates
 
 
-def test_the_best_policy_is_kept_not_the_last(tmp_path: Path) -> None:
-    scores = iter([0.1, 0.9, 0.9, 0.3, 0.2])
+def test_the_first_of_the_best_policies_is_kept_not_the_last(tmp_path: Path) -> None:
+    figures = iter([(0.1, 5.0), (0.9, 1.0), (0.9, 1.0), (0.9, 0.5), (0.2, 9.0)])
     seen = []
 
     def judge(policy: Policy, updates: int) -> dict[str, float]:
         seen.append(policy.arrays["bias.0"])
-        return {"clean": next(scores), "score": float(-updates)}
+        return dict(zip(("clean", "score"), next(figures), strict=True))
 
     wanted = settings(*SHORT, "loop.updates=50", "loop.evaluate_every=10")
     outcome = trainer(tmp_path, wanted, logs=True, hooks=Hooks(evaluate=judge)).run()
-    assert outcome.best == {"clean": 0.9, "score": -20.0}
+    assert outcome.best == {"clean": 0.9, "score": 1.0}
     np.testing.assert_array_equal(Policy.load(tmp_path / "best.safetensors").arrays["bias.0"], seen[1])
     np.testing.assert_array_equal(Policy.load(tmp_path / "policy.safetensors").arrays["bias.0"], seen[4])
 

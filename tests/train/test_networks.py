@@ -83,6 +83,9 @@ def test_output_layers_start_small_and_hidden_ones_by_fan_in() -> None:
 def test_a_policy_acts_as_its_actor_does(norm: str, activation: str) -> None:
     config = NetworkConfig(hidden=(16, 9), activation=activation, actor_norm=norm, dropout=0.1, final_init=1.0)  # type: ignore[arg-type]
     actor = Actor(N_X, N_U, config=config, generator=seeded())
+    for name, parameter in actor.named_parameters():
+        if name.endswith(("gain", "shift")):
+            parameter.data += 0.3 * torch.rand(parameter.shape, generator=seeded(9))
     for seed in range(20):
         actor(3 + 2 * numbers(64, N_X, seed=seed), training=True, generator=seeded())
     state = numbers(B, N_X)
