@@ -36,7 +36,7 @@ _MESSAGE_HEAD = struct.Struct("<BQH")
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 _PREFIX = {"opcode": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4", "log_time": "<u8", "publish_time": "<u8"}
-_PREFIX_SIZE = 31
+PREFIX_SIZE = 31
 
 _local = threading.local()
 
@@ -71,7 +71,7 @@ def encode(codec: Codec, channel: int, *, log_time: Array, sequence: Array, colu
     """Message records for n rows of columns; publish time is log time."""
     dtype, n = _record_dtype(codec), len(log_time)
     head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, dtype.itemsize - RECORD_HEAD.size, channel)
-    template = head.ljust(_PREFIX_SIZE, b"\0") + codec.template
+    template = head.ljust(PREFIX_SIZE, b"\0") + codec.template
     rows = np.frombuffer(bytearray(template * n), dtype)
     rows["sequence"], rows["log_time"], rows["publish_time"] = sequence, log_time, log_time
     codec.encode(rows["payload"], columns)

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from coordlog.errors import FormatError
 from coordlog.record.bitflip import Flip, locate, restored
 from coordlog.record.cdr import message_codec
-from coordlog.record.chunk import decode, expand
+from coordlog.record.chunk import PREFIX_SIZE, expand
 from coordlog.record.finding import Problem
 from coordlog.record.metadata import ENV, decode_layout
 from coordlog.record.records import MAGIC, RECORD_HEAD, Span, unpack_attachment, unpack_metadata, walk
@@ -90,18 +90,16 @@ def _compared(intact: bytes, whole: bytes, broken: bytes, where: str) -> Problem
 
 
 def _field(message: Message, layout: Layout, record: bytes, other: bytes) -> tuple[str, str, str] | None:
-    """Name, true value and damaged value of the first field that differs between two records of one message."""
+    """Name, true value and damaged value where two records of one message first differ; None if that is not in a field."""
+    at = int(np.flatnonzero(np.frombuffer(record, np.uint8) != np.frombuffer(other, np.uint8))[0])
     codec = message_codec(message, layout)
-    try:
-        (_, true), (_, false) = decode(codec, [record]), decode(codec, [other])
-    except FormatError:
-        return None
     for name in codec.fields:
-        a, b = np.atleast_1d(true[name][0]), np.atleast_1d(false[name][0])
-        differs = np.flatnonzero(a.view(f"V{a.itemsize}") != b.view(f"V{b.itemsize}"))
-        if len(differs):
-            index = int(differs[0])
-            return name if true[name].ndim == 1 else f"{name}[{index}]", str(a[index]), str(b[index])
+        dtype, offset = codec.dtype.fields[name][:2]  # type: ignore[index]
+        item, start = dtype.base, PREFIX_SIZE + int(offset)
+        if start <= at < start + dtype.itemsize:
+            index = (at - start) // item.itemsize
+            true, false = (np.frombuffer(data, item, 1, start + index * item.itemsize)[0] for data in (record, other))
+            return f"{name}[{index}]" if dtype.shape else name, str(true), str(false)
     return None
 
 

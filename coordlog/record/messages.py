@@ -13,7 +13,7 @@ import numpy as np
 from coordlog.episode import CONTACT, Array, Header, Path
 from coordlog.errors import FormatError, SpecError
 from coordlog.record.cdr import joint_state_codec, message_codec
-from coordlog.record.chunk import Batch, decode, encode
+from coordlog.record.chunk import PREFIX_SIZE, Batch, decode, encode
 from coordlog.record.topics import arm_topic, topics
 from coordlog.spec import ARM, CONTACTS, FINAL, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP, Layout, Message
 
@@ -22,7 +22,7 @@ NS = 1_000_000_000
 Records = Sequence[bytes | memoryview]
 Columns = Mapping[str, Array]
 
-_COUNT_AT = 31 + 12  # where a Contacts record holds the length of its first sequence: record prefix, encapsulation, step
+_COUNT_AT = PREFIX_SIZE + 12  # where a Contacts record holds the length of its first sequence: after encapsulation and step
 _CONTACT_COLUMNS = tuple(name for name in CONTACT.names or () if name != "step")
 
 
