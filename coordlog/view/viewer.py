@@ -59,13 +59,21 @@ class Viewer:
         return f"rerun+http://{HOST}:{self.port}/proxy"
 
     def __enter__(self) -> Viewer:
-        """Start it."""
+        """Start it.
+
+        Raises:
+            ViewerError: if its program is not there or cannot be run.
+        """
         self._folder = tempfile.TemporaryDirectory(prefix="coordlog-viewer-")
         self._log = Path(self._folder.name) / "log"
-        environment = _environment(Path(self._folder.name))
-        with self._log.open("wb") as log:
-            command = [str(BINARY), *self._arguments]
-            self.process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            settings = environment(Path(self._folder.name))
+            with self._log.open("wb") as log:
+                command = [str(BINARY), *self._arguments]
+                self.process = subprocess.Popen(command, env=settings, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        except OSError as error:
+            self._folder.cleanup()
+            raise ViewerError(f"the viewer cannot be run: {error.strerror}: {BINARY}; install rerun-sdk again") from error
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -163,20 +171,16 @@ class Headless(Viewer):
         else:
             self._client.set_time(timeline.name, sequence=int(at), play_state="paused")
 
-    def picture(self, view: str | None = None) -> bytes:
-        """PNG of the window, or of the view of that name, once nothing in it moves any more."""
-        shown = {each.name: each.view_id for each in self._client.get_state().views}
-        place = None if view is None else shown[view]
+    def picture(self, kind: str = "") -> bytes:
+        """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
+        views = self._client.get_state().views
+        place = next(view.view_id for view in views if view.view_class == kind) if kind else None
         deadline = time.monotonic() + STILL_SECONDS
         before, now = b"", bytes(self._client.take_screenshot(place))
         while now != before and time.monotonic() < deadline:
             time.sleep(0.15)
             before, now = now, bytes(self._client.take_screenshot(place))
         return now
-
-    def views(self) -> list[str]:
-        """Names of all views."""
-        return [each.name for each in self._client.get_state().views]
 
     def complaints(self) -> list[str]:
         """What views report that they could not show, and errors in the viewer's log."""
@@ -237,9 +241,9 @@ def claim(port: int) -> int:
         return int(probe.getsockname()[1])
 
 
-def _environment(folder: Path) -> dict[str, str]:
+def environment(folder: Path) -> dict[str, str]:
     """Environment in which the viewer keeps its settings in a folder of ours, with telemetry off."""
-    environment = {**os.environ, "XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder), "RUST_LOG": "error"}
-    environment.setdefault("XDG_RUNTIME_DIR", str(folder))
-    subprocess.run([str(BINARY), "analytics", "disable"], env=environment, capture_output=True, check=False)
-    return environment
+    settings = {**os.environ, "XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder), "RUST_LOG": "error"}
+    settings.setdefault("XDG_RUNTIME_DIR", str(folder))
+    subprocess.run([str(BINARY), "analytics", "disable"], env=settings, capture_output=True, check=False)
+    return settings

@@ -70,7 +70,7 @@ def web_viewer(rrd: Path, *, port: int = 0) -> Iterator[str]:
         page = type("BoundPage", (Page,), {"origin": origin, "policy": POLICY.format(source=f"http://{HOST}:{viewer.port}")})
         with ThreadingHTTPServer((HOST, port), page) as server:
             Thread(target=server.serve_forever, daemon=True).start()
-            yield f"http://{HOST}:{port}/?url={quote(viewer.url, safe=':/')}&hide_welcome_screen&persist=0"
+            yield f"http://{HOST}:{port}/?url={quote(viewer.url, safe=':/')}&theme=dark&hide_welcome_screen&persist=0"
             server.shutdown()
 
 
