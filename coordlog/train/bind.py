@@ -1,0 +1,64 @@
+"""From what a log or an environment says of itself (its `coordlog.env` record) to what training needs to know."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from coordlog.episode import Array, Json
+from coordlog.errors import SpecError
+from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
+from coordlog.sim.reward import Flags, rewards
+from coordlog.sim.state import StateView
+from coordlog.train.relabel import GoalView, RewardFunction
+from coordlog.train.task import Task
+
+FARTHEST = 2.0
+"""A palm is taken to be no further from its goal than this many workspace radii; bounds the return."""
+SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "state_scale")
+"""Keys of the record that must agree for logs to be learnt from together."""
+
+
+def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
+    """The task that a `coordlog.env` record describes.
+
+    Args:
+        env: The record.
+        reward: Constants to learn from instead of those the record names.
+    """
+    layout = env["layout"]
+    return Task(
+        n_x=layout["n_x"],
+        n_u=layout["n_u"],
+        arms=env["arms"],
+        reward=reward_function(reward or from_mapping(RewardConfig, env["reward"])),
+        farthest=FARTHEST * env["robot"]["reach"],
+        view=goal_view(env),
+    )
+
+
+def reward_function(constants: RewardConfig) -> RewardFunction:
+    """The paper's reward with its constants bound."""
+    return partial(_rewards, constants)
+
+
+def goal_view(env: Json) -> GoalView:
+    """Where palms and goals stand in the state of a `coordlog.env` record."""
+    view, config = StateView.from_json(env), from_mapping(EnvConfig, env["config"])
+    difference = view.places.get("difference")
+    palms, goals = view.places["palms"], view.places["goals"]
+    return GoalView(palms, goals, difference, view.offset, view.scale, config.goal_radius, config.boundary_radius)
+
+
+def require_alike(first: Json, other: Json, *, where: str) -> None:
+    """Refuse logs of another robot, state or action.
+
+    Raises:
+        SpecError: naming what differs.
+    """
+    for key in SAME:
+        if first[key] != other[key]:
+            raise SpecError(f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time")
+
+
+def _rewards(constants: RewardConfig, distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array) -> Array:
+    return rewards(distance, Flags(boundary, goal, collision, instability), constants)
