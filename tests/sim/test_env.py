@@ -205,7 +205,7 @@ def test_a_hand_on_the_table_is_a_collision_with_names():
     assert "table" in names
     assert (first.contacts[0]["depth"] >= 0).all()
     assert first.contacts[0]["z"] == pytest.approx(0.46, abs=0.03)
-    assert (first.reward[0] <= -env.task.reward.alpha * first.distance[0] - env.task.reward.n1 + env.task.reward.m1).all()
+    assert first.reward[0] == pytest.approx(-first.distance[0] - 0.3 + 0.1 * first.boundary[0])  # α 1, n1 0.3, m1 0.1
 
 
 @pytest.mark.parametrize("name", ["table", "spheres"])
