@@ -144,9 +144,9 @@ class Headless(Viewer):
             raise self.failure()
         raise ViewerError(f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try again, or use --save FILE")
 
-    def open(self, rrd: Path) -> None:
-        """Load a recording, and stop its clock."""
-        self._client.open(str(rrd.resolve()))
+    def open(self, *files: Path) -> None:
+        """Load a recording, after a blueprint for it if there is one, and stop its clock."""
+        self._client.open([str(file.resolve()) for file in files])
         deadline = time.monotonic() + START_SECONDS
         while self._client.get_state().loading and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -181,6 +181,10 @@ class Headless(Viewer):
             time.sleep(0.15)
             before, now = now, bytes(self._client.take_screenshot(place))
         return now
+
+    def views(self) -> list[str]:
+        """Names of all views."""
+        return [view.name for view in self._client.get_state().views]
 
     def complaints(self) -> list[str]:
         """What views report that they could not show, and errors in the viewer's log."""
