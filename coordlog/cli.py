@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, record, recover, scenes
+from coordlog.commands import check, info, record, recover, scenes, train
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.version import __version__
@@ -29,6 +29,7 @@ app.command("record")(record.record)
 app.command("check")(check.check)
 app.command("info")(info.info)
 app.command("recover")(recover.recover)
+app.command("train")(train.train)
 app.command("scenes")(scenes.scenes)
 
 

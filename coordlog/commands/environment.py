@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from coordlog.commands.terminal import note
 from coordlog.errors import ConfigError, unknown
 
 if TYPE_CHECKING:
+    from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
 
 TABLES = ("env", "reward")
@@ -29,24 +31,31 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
 
 
-def make_env(scene: str, *, config: Path | None, start: str, envs: int, threads: int) -> BatchEnv:
+def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None) -> BatchEnv:
     """The batched environment that the options describe; doubtful reward constants are said aloud.
 
+    Args:
+        scene: Name of the scene.
+        tables: Tables "env" and "reward" of a configuration file, or none.
+        start: Name of the start pose.
+        envs: Number of simulations.
+        threads: Threads to simulate on.
+        like: A `coordlog.env` record whose constants hold where the tables say nothing: those of the logs, or of a policy's training.
+
     Raises:
-        ConfigError: for an unknown scene, pose or key, or a value out of range.
+        ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
     from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
     from coordlog.sim.env import BatchEnv
     from coordlog.sim.scene import find
 
-    tables = read_toml(config) if config else {}
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
-    reward = from_mapping(RewardConfig, tables.get("reward", {}))
+    before = like or {"config": {}, "reward": {}}
+    reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
     if "reward" in tables:
         for doubt in reward.doubts():
             note(doubt)
-    if envs < 1:
-        raise ConfigError(f"--envs: expected at least 1, got {envs}")
-    return BatchEnv(find(scene), from_mapping(EnvConfig, tables.get("env", {})), reward, n=envs, threads=threads, start=start)
+    constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
+    return BatchEnv(find(scene), constants, reward, n=envs, threads=threads, start=start)

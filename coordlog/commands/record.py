@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import make_env
+from coordlog.commands.environment import make_env, read_toml
+from coordlog.commands.policies import about, make_policy, policy_file
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def record(
-    scene: Annotated[str, typer.Option(help="free, spheres, table, shelf or planar; `coordlog scenes` lists them.")] = "table",
-    policy: Annotated[str, typer.Option(help="expert, random or still.")] = "expert",
+    scene: Annotated[str, typer.Option(help="free, spheres, table, shelf or planar; by default the policy's own, or table.")] = "",
+    policy: Annotated[str, typer.Option(help="expert, random, still, or a run folder or policy file.")] = "expert",
     episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
@@ -44,16 +45,20 @@ def record(
 
         coordlog record --scene shelf --episodes 512 --noise 0.15 --out logs/shelf
 
-        coordlog record --scene free --policy random --split test --json
+        coordlog record --policy runs/table/best --split test --episodes 200 --out logs/evaluation
     """
     from coordlog.record.recorder import Recorder
     from coordlog.rollout import rollout
     from coordlog.scoring import Scoreboard
-    from coordlog.scripted import scripted, with_noise
+    from coordlog.scripted import with_noise
 
-    env = make_env(scene, config=config, start=start, envs=min(envs, episodes), threads=threads)
-    actor, logged = with_noise(scripted(policy, env), env, sigma=noise, correlation=noise_correlation)
-    described = {"kind": "scripted", "name": policy, "checkpoint_sha256": "", "noise": logged}
+    file = policy_file(policy)
+    trained = about(file) if file else {}
+    scene = scene or trained.get("scene", "table")
+    tables = read_toml(config) if config else {}
+    env = make_env(scene, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
+    chosen, described = make_policy(policy, env)
+    actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
     done: list[Finished] = []
     board = Scoreboard(env.n, env.layout.k)
     steps, began = 0, time.perf_counter()

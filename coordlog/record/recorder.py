@@ -55,6 +55,7 @@ class Recorder:
         policy: Json,
         display: bool = True,
         epoch: int | None = None,
+        run: str = "",
         finished: Callable[[Finished], None] | None = None,
     ) -> None:
         """Make the folder; files appear as episodes start.
@@ -65,6 +66,7 @@ class Recorder:
             policy: The `coordlog.policy` record: kind, name, checkpoint_sha256, noise.
             display: Also write the topics that viewers plot by name.
             epoch: Start time of every episode [ns since 1970]; None for the wall clock. With it, equal runs write equal bytes.
+            run: Name of a run to go on with: its finished episodes are not written again, its part files are. "" for a new run.
             finished: Called on the writing thread with every finished file.
 
         Raises:
@@ -73,7 +75,8 @@ class Recorder:
         self._env, self._folder, self._policy, self._display = env, folder, policy, display
         self._epoch, self._finished = epoch, finished
         self._describe = env.describe()
-        self.run = _run_id(self._describe, policy, env.start, epoch)
+        self._resumed = bool(run)
+        self.run = run or _run_id(self._describe, policy, env.start, epoch)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -194,8 +197,9 @@ class Recorder:
     def _flush(self, slot: int) -> None:
         """Hand the collected steps of a slot to the writing thread."""
         writer, n = self._writers[slot], int(self._filled[slot])
-        assert writer is not None
-        if n:
+        if writer is None:
+            self._contacts[slot], self._filled[slot] = [], 0
+        elif n:
             columns = {name: values[slot, :n].copy() for name, values in self._rows.items()}
             contacts = np.concatenate(self._contacts[slot]) if self._contacts[slot] else np.zeros(0, dtype=CONTACT)
             self._contacts[slot] = []
@@ -205,7 +209,6 @@ class Recorder:
     def _end(self, slot: int, *, aborted: str, before: bool = False) -> None:
         """Finish a slot's file; `before` for a final state that is the one before the step under way."""
         writer = self._writers[slot]
-        assert writer is not None
         at = int(self._filled[slot])
         if before or self._stepping:
             final = {name: self._rows[name][slot, at].copy() for name in BEFORE}
@@ -213,7 +216,8 @@ class Recorder:
             final = {name: np.array(values[0]) for name, values in self._present(np.array([slot])).items()}
         self._flush(slot)
         self._writers[slot] = None
-        self._submit(self._finish, writer, final, aborted)
+        if writer is not None:
+            self._submit(self._finish, writer, final, aborted)
 
     def _finish(self, writer: EpisodeWriter, final: dict[str, Array], aborted: str) -> None:
         if not writer.length:  # nothing happened: there is no episode to keep
@@ -257,11 +261,18 @@ class Recorder:
         }
         return Header(episode, self._describe, self._policy)
 
-    def _open(self, header: Header, attachments: dict[str, bytes]) -> EpisodeWriter:
-        """A writer under the first free name: what another run has written is never in the way and never replaced."""
+    def _open(self, header: Header, attachments: dict[str, bytes]) -> EpisodeWriter | None:
+        """A writer under the first free name: what another run has written is never in the way and never replaced.
+
+        None for an episode that a resumed run had finished before it was stopped.
+        """
         episode = header.episode
         stem = f"{episode['scene']}-{episode['split']}-s{episode['seed']}-{episode['index']:06d}-{self.run}"
         attempt = 1
+        if self._resumed and (self._folder / f"{stem}.mcap").exists():
+            return None
+        if self._resumed:  # its steps are taken again, the same ones, and more
+            (self._folder / f"{stem}.mcap{PART}").unlink(missing_ok=True)
         while True:
             path = self._folder / (f"{stem}.mcap" if attempt == 1 else f"{stem}-{attempt}.mcap")
             try:

@@ -116,6 +116,7 @@ class Trainer:
             StorageError: if the folder already holds a run and is not to be resumed, holds none but is, or cannot be written to.
             ConfigError: if the checkpoint was made with other settings.
         """
+        torch.set_num_threads(1)  # the other cores simulate; and sums are then ordered alike on every machine
         checkpoint = self.folder / "checkpoint.safetensors"
         if resume:
             self._load(checkpoint)

@@ -122,12 +122,19 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
                 )
 
 
-def load_settings(path: Path | None = None, *, preset: str = "default", assignments: Sequence[str] = ()) -> Settings:
-    """Settings of a preset, overridden by a TOML file, overridden by assignments.
+def load_settings(
+    path: Path | None = None,
+    *,
+    preset: str = "default",
+    tables: Mapping[str, Mapping[str, object]] | None = None,
+    assignments: Sequence[str] = (),
+) -> Settings:
+    """Settings of a preset, overridden by a TOML file, overridden by tables, overridden by assignments.
 
     Args:
         path: TOML file with one table per section, or None.
         preset: Name of the preset to start from.
+        tables: {section: {key: value}} that were read elsewhere.
         assignments: "section.key=value" each, the last one wins.
 
     Raises:
@@ -144,7 +151,8 @@ def load_settings(path: Path | None = None, *, preset: str = "default", assignme
             raise ConfigError(f"{path} is not a TOML file: {error}") from error
         except OSError as error:
             raise StorageError(f"{path} cannot be read: {error.strerror}") from error
-    tables: dict[str, dict[str, object]] = {}
+    settings = override(settings, tables or {})
+    assigned: dict[str, dict[str, object]] = {}
     for section, key, value in map(parse_assignment, assignments):
-        tables.setdefault(section, {})[key] = value
-    return override(settings, tables)
+        assigned.setdefault(section, {})[key] = value
+    return override(settings, assigned)

@@ -1,0 +1,85 @@
+"""Logs as training data: found, cached, filtered, and refused when they do not belong together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coordlog.commands import terminal
+from coordlog.commands.pool import mapped
+from coordlog.errors import ConfigError, FormatError, SpecError
+
+if TYPE_CHECKING:
+    from coordlog.record.cache import Built, Logs
+
+
+def cache_folder() -> Path:
+    """Where decoded columns are kept: the user's cache folder. Deleting it only costs time."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coordlog" / "columns"
+
+
+def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) -> Logs:
+    """The episodes under some folders that satisfy a condition, as columns; all of one scene and one state layout.
+
+    Raises:
+        FormatError: if a file is broken and they are not to be skipped.
+        ConfigError: if the condition is no SQL, or nothing satisfies it.
+        SpecError: if there is nothing to learn from, or the episodes are of several scenes.
+    """
+    from coordlog.record.cache import load
+    from coordlog.record.dataset import find_files
+
+    files = find_files(paths)
+    with terminal.progress() as bar:
+
+        def run(build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]) -> Iterable[Built]:
+            task = bar.add_task("decoding new logs", total=sum(map(len, groups)), note="")
+            for built in mapped(build, groups, jobs=jobs):
+                bar.update(task, advance=built.files)
+                yield built
+
+        logs = load(files.paths, cache_folder(), run=run)
+    for item in logs.skipped:
+        if not skip_broken:
+            raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
+        terminal.note(f"skipped: {item.path}: {item.reason}")
+    chosen = logs.select(matching(logs, where)) if where else logs
+    if not len(chosen):
+        raise ConfigError(f"--where: no episode of {len(logs)} satisfies: {where}")
+    scenes = sorted(set(chosen.episodes.column("scene").to_pylist()))
+    if len(scenes) > 1:
+        raise SpecError(f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\"")
+    _require_alike(chosen)
+    return chosen
+
+
+def matching(logs: Logs, where: str) -> list[int]:
+    """Rows of the episodes that satisfy an SQL condition over the columns of `Logs.episodes`.
+
+    Raises:
+        ConfigError: if it is no condition over these columns.
+    """
+    import duckdb
+
+    columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
+    connection = duckdb.connect(config={"enable_external_access": "false"})
+    connection.register("episodes", logs.episodes.select(columns).append_column("row", [list(range(len(logs)))]))
+    try:
+        rows = connection.execute(f"select row from episodes where {where} order by row").fetchall()
+    except duckdb.Error as error:
+        names = ", ".join(columns)
+        raise ConfigError(f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}") from error
+    return [row for (row,) in rows]
+
+
+def _require_alike(logs: Logs) -> None:
+    from coordlog.train.bind import require_alike
+
+    first = logs.env(0)
+    seen = {logs.episodes.column("env")[0].as_py()}
+    for i, text in enumerate(logs.episodes.column("env").to_pylist()):
+        if text not in seen:
+            seen.add(text)
+            require_alike(first, logs.env(i), where=logs.episodes.column("file")[i].as_py())

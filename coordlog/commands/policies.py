@@ -1,0 +1,72 @@
+"""A policy by name or by file, for whichever environment it is to act in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coordlog.errors import ConfigError, SpecError, unknown
+
+if TYPE_CHECKING:
+    from coordlog.episode import Json
+    from coordlog.rollout import Policy
+    from coordlog.sim.env import BatchEnv
+
+SUFFIX = ".safetensors"
+FILES = ("best", "policy")
+"""What a run folder may hold, in order of preference."""
+
+
+def policy_file(name: str) -> Path | None:
+    """The file that a name means: a policy file, one without its suffix, or a run folder; None for a scripted policy's name.
+
+    Raises:
+        ConfigError: if the name is neither.
+    """
+    from coordlog.scripted import SCRIPTED
+
+    if name in SCRIPTED:
+        return None
+    path = Path(name)
+    candidates = [path, path.with_name(path.name + SUFFIX), *(path / f"{file}{SUFFIX}" for file in FILES)]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    if "/" in name or path.exists():
+        raise ConfigError(f"{name}: expected a policy file or a run folder with {FILES[0]}{SUFFIX}, found none")
+    raise unknown("policy", name, [*SCRIPTED, "a run folder or policy file"])
+
+
+def about(file: Path) -> Json:
+    """What a policy file says of itself: scene, env (the `coordlog.env` record it was trained in), and how it was trained.
+
+    Raises:
+        FormatError: if it is no policy file.
+    """
+    from coordlog.train.policy import Policy as Trained
+
+    return Trained.load(file).about
+
+
+def make_policy(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
+    """The policy, and its `coordlog.policy` record without noise.
+
+    Raises:
+        ConfigError: for an unknown name.
+        SpecError: if a trained policy does not fit the environment's state or action.
+    """
+    from coordlog.record.cache import file_digest
+    from coordlog.scripted import scripted
+    from coordlog.train.policy import Policy as Trained
+
+    file = policy_file(name)
+    if file is None:
+        return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
+    trained = Trained.load(file)
+    here = env.describe()
+    for key in ("state", "action_joints"):
+        if trained.about["env"][key] != here[key]:
+            raise SpecError(
+                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{trained.about['scene']}'"
+            )
+    return trained, {"kind": "digrad", "name": str(file), "checkpoint_sha256": file_digest(file)}

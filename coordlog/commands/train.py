@@ -1,0 +1,151 @@
+"""coordlog train: DiGrad from logs, from live simulations, or from both."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.commands.environment import TABLES, make_env, read_toml
+from coordlog.commands.logs import load_logs
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from coordlog.episode import Json
+    from coordlog.record.cache import Logs
+    from coordlog.sim.env import BatchEnv
+    from coordlog.train.settings import Settings
+    from coordlog.train.task import Outcome
+
+
+def train(
+    source: Annotated[list[Path] | None, typer.Option("--from", help="Folders of logs to learn from; may be repeated.")] = None,
+    live: Annotated[bool, typer.Option(help="Simulate as well, if there are logs; without --from it always does.")] = False,
+    scene: Annotated[str, typer.Option(help="Scene to simulate; by default that of the logs.")] = "",
+    where: Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")] = "",
+    preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", help="One setting, section.key=value; may be repeated.")] = None,
+    updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0 for as many as live steps earn.")] = None,
+    steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps.")] = None,
+    hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, 0 to 1.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    envs: Annotated[int, typer.Option(min=1, help="Live simulations at once.")] = 32,
+    eval_every: Annotated[int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")] = None,
+    eval_episodes: Annotated[int, typer.Option(min=1, help="Held-out episodes per evaluation.")] = 100,
+    out: Annotated[Path | None, typer.Option(help="Run folder; by default runs/SCENE-SOURCE-sSEED.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out, exactly where it stopped.")] = False,
+    device: Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")] = "cpu",
+    skip_broken: Annotated[bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")] = False,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")] = 0,
+) -> None:
+    """Learn to reach with DiGrad; every live and every evaluation episode is recorded.
+
+    Examples:
+
+        coordlog train --from logs/table --updates 10000
+
+        coordlog train --scene free --steps 600000
+
+        coordlog train --from logs/spheres --live --steps 100000 --set behaviour.final=1.0
+
+        coordlog train --from logs/table --out runs/table-logs-s0 --resume
+    """
+    from coordlog.commands.training import Judge, Progress, assemble, record_training
+    from coordlog.train.task import Hooks
+
+    given = {
+        "loop.seed": seed,
+        "loop.updates": updates,
+        "loop.steps": steps,
+        "loop.evaluate_every": eval_every,
+        "replay.hindsight": hindsight,
+    }
+    tables = read_toml(config) if config else {}
+    around = {name: tables.pop(name) for name in TABLES if name in tables}
+    wanted = _settings(tables, preset=preset, given=given, assignments=settings or [])
+    logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
+    mode = ("both" if live else "logs") if logs else "live"
+    if mode != "logs" and wanted.loop.steps == 0:
+        raise ConfigError("--steps: expected a budget of live steps, got none")
+    scene = scene or (logs.episodes.column("scene")[0].as_py() if logs else "table")
+    folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
+    like = logs.env(0) if logs else None
+    env = make_env(scene, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
+    said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
+    run = _begin(folder, said, logs, resume=resume)
+    if like and like["reward"] != said["env"]["reward"]:
+        terminal.note("rewards are recomputed from logged distances and flags: the logs were recorded with other constants")
+    with ExitStack() as stack:
+        interrupted = stack.enter_context(terminal.interruptible())
+        show = Progress(stack.enter_context(terminal.progress()), scene, wanted)
+        judge = Judge(scene, around, like, folder, episodes=eval_episodes)
+        recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
+        hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
+        trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)
+        outcome = trainer.run(resume=resume)
+    _tell(outcome, folder)
+
+
+def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:
+    """Preset, then file, then --set, then the options that have names of their own."""
+    from coordlog.train.settings import load_settings
+
+    own = [f"{key}={value}" for key, value in given.items() if value is not None]
+    return load_settings(preset=preset, tables=tables, assignments=[*assignments, *own])
+
+
+def _said(scene: str, mode: str, env: BatchEnv, settings: Settings, logs: Logs | None, *, envs: int, where: str) -> Json:
+    """What the run is about, for run.json and for every policy file."""
+    digests = logs.episodes.column("digest").to_pylist() if logs else []
+    data = hashlib.sha256("".join(digests).encode()).hexdigest() if digests else ""
+    return {
+        "scene": scene,
+        "mode": mode,
+        "env": env.describe(),
+        "settings": settings.asdict(),
+        "seed": settings.loop.seed,
+        "envs": envs if mode != "logs" else 0,
+        "where": where,
+        "data": data,
+        "log_episodes": len(digests),
+    }
+
+
+def _begin(folder: Path, said: Json, logs: Logs | None, *, resume: bool) -> str:
+    """Begin the run, or make sure that it is the same one; returns the name its recordings carry."""
+    from coordlog.train import run as runs
+
+    if resume:
+        before = runs.recall(folder)
+        runs.require_same(before, said, folder=folder)
+        return str(before["recorder"])
+    name = uuid.uuid4().hex[:8]
+    data = zip(logs.episodes.column("digest").to_pylist(), logs.episodes.column("file").to_pylist(), strict=True) if logs else []
+    runs.begin(folder, {**said, "recorder": name}, data=list(data))
+    return name
+
+
+def _tell(outcome: Outcome, folder: Path) -> None:
+    """How the run ended, what it achieved, and the exit code."""
+    best = outcome.best or {}
+    merit = f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}" if best else ""
+    terminal.out.print(
+        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}", highlight=False
+    )
+    if outcome.event is not None:
+        terminal.note(f"{outcome.event.name}: {outcome.event.advice}")
+        raise typer.Exit(EXIT_CHECK_FAILED)
+    if outcome.ending == "stopped":
+        terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if best:
+        terminal.out.print(f"coordlog record --policy {folder} --split test --episodes 200", highlight=False)

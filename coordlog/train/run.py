@@ -1,0 +1,96 @@
+"""A run folder that explains itself: what was asked, of which code, on which data.
+
+run.json                 settings, environment, versions, git revision, evaluation
+data.lock                sha256 and name of every logged episode that is learnt from, one per line
+metrics.jsonl            a row per interval and per evaluation
+checkpoint.safetensors   everything a resumed run needs, with buffer/
+policy.safetensors       the policy as of the last checkpoint; best.safetensors: the best one evaluated
+episodes/                every live and every evaluation episode
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from coordlog.episode import Json
+from coordlog.errors import ConfigError, StorageError
+
+PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
+RUN, LOCK = "run.json", "data.lock"
+MUST_AGREE = ("env", "scene", "mode", "seed", "envs", "where", "data")
+"""Keys of run.json that a resumed run may not change."""
+
+
+def begin(folder: Path, said: Json, *, data: Sequence[tuple[str, str]]) -> None:
+    """Write what a new run is about.
+
+    Args:
+        folder: The run folder; made if missing.
+        said: JSON-able: scene, env, mode, settings, seed, envs, …
+        data: Digest and name of every logged episode.
+
+    Raises:
+        StorageError: if the folder holds a run already, or cannot be written.
+    """
+    if (folder / RUN).exists():
+        raise StorageError(f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / LOCK).write_text("".join(f"{digest}  {name}\n" for digest, name in data), encoding="utf-8")
+        (folder / RUN).write_text(json.dumps({**said, "versions": versions(), "git": revision()}, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot begin a run: {error.strerror}") from error
+
+
+def recall(folder: Path) -> Json:
+    """What a run was about.
+
+    Raises:
+        StorageError: if there is no run in the folder.
+        ConfigError: if its run.json is damaged.
+    """
+    try:
+        said: Json = json.loads((folder / RUN).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise StorageError(f"{folder}: no run to resume: expected a folder with {RUN}") from None
+    except ValueError as error:
+        raise ConfigError(f"{folder / RUN}: expected JSON: {error}") from error
+    return said
+
+
+def require_same(before: Json, now: Json, *, folder: Path) -> None:
+    """Refuse to resume a run as another one.
+
+    Raises:
+        ConfigError: naming the first key that differs.
+    """
+    for key in MUST_AGREE:
+        if before.get(key) != now.get(key):
+            shown = [str(value)[:60] for value in (before.get(key), now.get(key))]
+            raise ConfigError(f"{folder}: resume with the run's own options: its {key} was {shown[0]} and is now {shown[1]}")
+
+
+def versions() -> dict[str, str]:
+    """Installed versions of what the result depends on."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def revision() -> str:
+    """The git commit of the code, "+changes" if it has uncommitted ones; "" outside a repository."""
+    here = Path(__file__).parent
+    try:
+        commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+        dirty = subprocess.run(["git", "status", "--porcelain"], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return commit + ("+changes" if dirty else "")
