@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -89,6 +90,11 @@ class Physics:
     def rows(self) -> Array:
         """Full mjSTATE_INTEGRATION vectors, (n, n_state): a write is the simulation's state at its next call."""
         return np.asarray(self._batch.state)
+
+    @cached_property
+    def torque(self) -> Array:
+        """Servo torques during the last physics step, (n, n_servos) [N·m]."""
+        return np.asarray(self._batch.bind("actuator_force"))
 
     def resize(self, ids: Array, geoms: Sequence[int], radii: Array) -> None:
         """Give sphere geoms new radii in some simulations, (len(ids), len(geoms)) [m].
