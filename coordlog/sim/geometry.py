@@ -5,7 +5,7 @@ What draws an episode needs these numbers and no MuJoCo. Quaternions are scalar 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -45,8 +45,22 @@ class Motion:
     quaternion: Array  # (n, n_geom, 4) wxyz
     palms: Array  # (n, k, 3) m
     com: Array  # (n, 3) m, of the whole robot
-    support: list[Array]
-    """Per configuration the corners (c, 2) [m] of the convex hull of the sole corners on the floor, counter-clockwise; may be empty."""
+    corners: Array  # (n, 4 per sole, 3) m, lower corners of the soles
+
+    def support(self) -> list[Array]:
+        """Corners (c, 2) [m] of the support polygon at each configuration, counter-clockwise; empty where there is none."""
+        low, points = self.corners[..., 2] < CONTACT_HEIGHT, self.corners[..., :2]
+        polygons: list[Array] = [np.zeros((0, 2))] * len(low)
+        left = np.arange(len(low))
+        while len(left):  # the polygon of one configuration serves all others where the same corners still span one
+            on = np.flatnonzero(low[left[0]])
+            turn = on[hull(points[left[0], on])]
+            same = (low[left] == low[left[0]]).all(axis=1) & is_hull(points[left][:, turn], points[left][:, on])
+            same[0] = True
+            for i in left[same]:
+                polygons[i] = points[i, turn]
+            left = left[~same]
+        return polygons
 
 
 class Geometry:
@@ -97,6 +111,10 @@ class Geometry:
         state = attachments.get(INITIAL_STATE)
         return cls(model, robot, None if state is None else np.frombuffer(state[: len(state) // 8 * 8], dtype="<f8"))
 
+    def of_place(self, place: str) -> list[Geom]:
+        """Geoms that belong to the robot, the world, …, in model order."""
+        return [geom for geom in self.geoms if geom.place == place]
+
     def motion(self, qpos: Array) -> Motion:
         """Poses at each of n configurations, qpos (n, n_q)."""
         model, data = self._model, self._data
@@ -111,7 +129,16 @@ class Geometry:
             bodies[i], position[i], com[i] = data.xquat, data.geom_xpos, data.subtree_com[self._base]
             palms[i], corners[i] = data.site_xpos[self._palms], data.site_xpos[self._corners]
         quaternion = _product(bodies[:, model.geom_bodyid], model.geom_quat)
-        return Motion(position, quaternion, palms, com, [hull(each[each[:, 2] < CONTACT_HEIGHT, :2]) for each in corners])
+        return Motion(position, quaternion, palms, com, corners)
+
+    def palms(self, qpos: Array) -> Array:
+        """Palm positions alone at each of n configurations, qpos (n, n_q): (n, k, 3) [m]."""
+        places = np.empty((len(qpos), len(self._palms), 3))
+        for i, row in enumerate(qpos):
+            self._data.qpos[:] = row
+            mujoco.mj_kinematics(self._model, self._data)
+            places[i] = self._data.site_xpos[self._palms]
+        return places
 
     def palms_of(self, path: Array, time: Array, episode: Episode) -> Array:
         """Where the palms are when the action joints stand at `path` (n, n_u) [rad] at `time` (n,) [s]: (n, k, 3) [m].
@@ -121,7 +148,7 @@ class Geometry:
         nearest = np.abs(episode.time[None, :] - time[:, None]).argmin(axis=1)
         qpos = episode.qpos[nearest].copy()
         qpos[:, self.joints] = path
-        return self.motion(qpos).palms
+        return self.palms(qpos)
 
     def _geom(self, index: int) -> Geom:
         model = self._model
@@ -137,24 +164,37 @@ class Geometry:
         return Geom(index, geom.name, kind, size, tuple(geom.rgba), place)
 
 
-def hull(points: Array) -> Array:
-    """Corners of the convex hull of points in the plane, (n, 2) to (c, 2), counter-clockwise; empty if they span no area.
+def hull(points: Array) -> list[int]:
+    """Which of n points (n, 2) are the corners of their convex hull, counter-clockwise; none if they span no area.
 
     Source: Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions".
     """
-    ordered = sorted(set(map(tuple, points.tolist())))
-    chains = []
+    place = points.tolist()
+    ordered = sorted(range(len(place)), key=place.__getitem__)
+    corners: list[int] = []
     for run in (ordered, ordered[::-1]):
-        chain: list[tuple[float, ...]] = []
-        for point in run:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0:
+        chain: list[int] = []
+        for i in run:
+            while len(chain) > 1 and _turn(place[chain[-2]], place[chain[-1]], place[i]) <= 0:
                 chain.pop()
-            chain.append(point)
-        chains += chain[:-1]
-    return np.array(chains) if len(chains) > 2 else np.zeros((0, 2))
+            chain.append(i)
+        corners += chain[:-1]
+    return corners if len(corners) > 2 else []
 
 
-def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
+def is_hull(corners: Array, points: Array) -> Array:
+    """Whether polygons (n, c, 2) turn left everywhere and have all their points (n, p, 2) inside or on the edge, (n,) bool."""
+    if corners.shape[1] == 0:
+        return np.full(len(points), points.shape[1] < 3)
+    edge = np.roll(corners, -1, axis=1) - corners
+    after = np.roll(edge, -1, axis=1)
+    turns = edge[..., 0] * after[..., 1] - edge[..., 1] * after[..., 0]
+    apart = points[:, None] - corners[:, :, None]  # (n, c, p, 2)
+    inside = edge[:, :, None, 0] * apart[..., 1] - edge[:, :, None, 1] * apart[..., 0]
+    return np.asarray((turns > 0.0).all(axis=1) & (inside >= 0.0).all(axis=(1, 2)))
+
+
+def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import rerun as rr
 
 from coordlog.episode import Array
+from coordlog.sim.geometry import Geom
 from coordlog.view import palette
 from coordlog.view.camera import hides
 from coordlog.view.show import Stage
@@ -31,33 +34,44 @@ def draw(stream: rr.RecordingStream, stage: Stage, eye: Array) -> None:
 
 def draw_solids(stream: rr.RecordingStream, stage: Stage, eye: Array) -> None:
     """Log every shape of the model; only the robot's move."""
-    motion = stage.motion
-    for place in ("robot",) if stage.ghost else ("robot", "world", "obstacle", "object"):
-        for kind in ARCHETYPES:
-            geoms = [geom for geom in stage.geometry.geoms if geom.place == place and geom.kind == kind]
-            if not geoms:
-                continue
-            entity, index = stage.entity("world", place, kind), [geom.index for geom in geoms]
-            alpha = [GHOST if stage.ghost else SEE_THROUGH if hides(geom, stage, eye) else 1.0 for geom in geoms]
-            colours = [palette.rgba(geom.colour, alpha=a) for geom, a in zip(geoms, alpha, strict=True)]
-            stream.log(entity, solids(kind, geoms, colours), static=True)
-            rows, times = (len(motion.position), [stage.states]) if place == "robot" else (1, [])
-            stream.send_columns(entity, times, poses(kind, geoms, motion.position[:rows, index], motion.quaternion[:rows, index]))
-    if not stage.ghost and any(geom.kind == "plane" for geom in stage.geometry.geoms):
-        stream.log(stage.entity("world", "floor"), floor(np.array(stage.robot.centre[:2])), static=True)
+    shown = [stage.geometry.of_place("robot")]
+    if not stage.ghost:
+        shown += [stage.geometry.of_place(place) for place in ("world", "obstacle", "object")]
+        draw_floor(stream, stage)
+    for geoms in shown:
+        opacity = {geom.index: GHOST if stage.ghost else SEE_THROUGH if hides(geom, stage, eye) else 1.0 for geom in geoms}
+        draw_shapes(stream, stage, geoms, opacity, moving=geoms is shown[0])
 
 
 def draw_still(stream: rr.RecordingStream, stage: Stage) -> None:
-    """Log robot and surroundings as they are at the start, for good: what the paths of many episodes are drawn around."""
-    geoms = [geom for geom in stage.geometry.geoms if geom.place in ("robot", "world")]
-    for kind in ARCHETYPES:
+    """Log robot and panels as they are at the start, for good: what the paths of many episodes are drawn around."""
+    draw_floor(stream, stage)
+    for place in ("robot", "world"):
+        geoms = stage.geometry.of_place(place)
+        draw_shapes(stream, stage, geoms, dict.fromkeys((geom.index for geom in geoms), GHOST), moving=False)
+
+
+def draw_shapes(stream: rr.RecordingStream, stage: Stage, geoms: list[Geom], opacity: Mapping[int, float], *, moving: bool) -> None:
+    """Log shapes of one place, an entity for each kind; `opacity` is by geom id."""
+    motion = stage.motion
+    for kind, archetype in ARCHETYPES.items():
         same = [geom for geom in geoms if geom.kind == kind]
         if not same:
             continue
-        entity, index = stage.entity("world", "start", kind), [geom.index for geom in same]
-        stream.log(entity, solids(kind, same, [palette.rgba(geom.colour, alpha=GHOST) for geom in same]), static=True)
-        stream.send_columns(entity, [], poses(kind, same, stage.motion.position[:1, index], stage.motion.quaternion[:1, index]))
-    if any(geom.kind == "plane" for geom in geoms):
+        entity, index = stage.entity("world", same[0].place, kind), [geom.index for geom in same]
+        shape = solids(kind, same, [palette.rgba(geom.colour, alpha=opacity[geom.index]) for geom in same])
+        rows = len(motion.position) if moving else 1
+        pose = poses(kind, same, motion.position[:rows, index], motion.quaternion[:rows, index])
+        if moving:
+            stream.log(entity, shape, static=True)
+            stream.send_columns(entity, [stage.states], archetype.columns(**pose).partition(np.full(rows, len(same))))
+        else:
+            stream.log(entity, shape, archetype.from_fields(**pose), static=True)
+
+
+def draw_floor(stream: rr.RecordingStream, stage: Stage) -> None:
+    """Log the floor, if the scene has one."""
+    if any(geom.kind == "plane" for geom in stage.geometry.geoms):
         stream.log(stage.entity("world", "floor"), floor(np.array(stage.robot.centre[:2])), static=True)
 
 
@@ -110,7 +124,7 @@ def draw_contacts(stream: rr.RecordingStream, stage: Stage) -> None:
 
 def draw_balance(stream: rr.RecordingStream, stage: Stage) -> None:
     """Log the centre of mass, its plumb line, and the support polygon, red where the step was unstable."""
-    com, support = stage.motion.com, stage.motion.support
+    com = stage.motion.com
     ground = com * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.002]
     unstable = np.append(False, stage.episode.instability)
     colours = np.where(unstable[:, None], palette.BAD, palette.MASS).astype(np.uint8)
@@ -118,18 +132,19 @@ def draw_balance(stream: rr.RecordingStream, stage: Stage) -> None:
     stream.log(entity, rr.Points3D.from_fields(radii=[0.014, 0.010]), static=True)
     columns = rr.Points3D.columns(positions=points.reshape(-1, 3), colors=np.repeat(colours, 2, axis=0))
     stream.send_columns(entity, [stage.states], columns.partition([2] * len(com)))
-    loops = [_loop(corners) for corners in support]
     edge = np.where(unstable[:, None], palette.BAD, palette.GOOD).astype(np.uint8)
     plumb, outline = stage.entity("world", "balance", "plumb"), stage.entity("world", "balance", "support")
     stream.log(plumb, rr.LineStrips3D.from_fields(radii=0.0015), static=True)
     stream.send_columns(plumb, [stage.states], rr.LineStrips3D.columns(strips=points, colors=colours))
     stream.log(outline, rr.LineStrips3D.from_fields(radii=0.003), static=True)
-    stream.send_columns(outline, [stage.states], rr.LineStrips3D.columns(strips=loops, colors=edge))
+    stream.send_columns(outline, [stage.states], rr.LineStrips3D.columns(strips=_loops(stage.motion.support()), colors=edge))
 
 
-def _loop(corners: Array) -> Array:
-    """The closed outline of a polygon on the floor, (c, 2) to (c + 1, 3); a point far below where there is none."""
-    if not len(corners):
-        return np.zeros((2, 3))
-    closed = np.concatenate([corners, corners[:1]])
-    return np.concatenate([closed, np.full((len(closed), 1), 0.003)], axis=1)
+def _loops(polygons: Sequence[Array]) -> Array:
+    """Closed outlines of n polygons on the floor, (c, 2) each, as one array (n, m, 3): short ones stay at their start, none is a point."""
+    loops = np.zeros((len(polygons), max(map(len, polygons)) + 1, 3))
+    for loop, corners in zip(loops, polygons, strict=True):
+        if len(corners):
+            loop[:, :2], loop[:, 2] = corners[0], 0.003
+            loop[: len(corners), :2] = corners
+    return loops

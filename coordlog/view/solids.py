@@ -42,17 +42,14 @@ def solids(kind: str, geoms: Sequence[Geom], colours: Sequence[Colour]) -> rr.As
     return rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]] if kind == "sphere" else size, **look)
 
 
-def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) -> rr.ComponentColumnList:
-    """Poses of shapes of one kind over n rows: position (n, len(geoms), 3) [m], quaternion (n, len(geoms), 4) wxyz."""
+def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) -> dict[str, Array]:
+    """Poses of shapes of one kind as fields of its archetype: position (…, len(geoms), 3) [m], quaternion (…, len(geoms), 4) wxyz."""
     xyzw = np.roll(quaternion, -1, axis=-1).reshape(-1, 4)
     if kind == "capsule":
         # The viewer's capsule starts at its origin and runs along +z; MuJoCo's is centred on it.
         half = np.array([geom.size[1] for geom in geoms])
-        start = position - half[:, None] * axis(quaternion)
-        columns = rr.Capsules3D.columns(translations=start.reshape(-1, 3), quaternions=xyzw)
-    else:
-        columns = ARCHETYPES[kind].columns(centers=position.reshape(-1, 3), quaternions=xyzw)
-    return columns.partition(np.full(len(position), len(geoms)))
+        return {"translations": (position - half[:, None] * axis(quaternion)).reshape(-1, 3), "quaternions": xyzw}
+    return {"centers": position.reshape(-1, 3), "quaternions": xyzw}
 
 
 def axis(quaternion: Array) -> Array:
