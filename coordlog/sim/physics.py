@@ -79,8 +79,9 @@ class Physics:
         self._time = self._batch.bind("time")
         self._counts = tuple(self._batch.bind(name) for name in COUNTERS)
         self._sole_rows, self._other_rows = CONTACT_ROWS[mujoco.mjtCone(model.opt.cone)]
-        pairs = np.stack([model.pair_geom1, model.pair_geom2])
-        self._pairs = pairs.min(axis=0) * model.ngeom + pairs.max(axis=0)  # sole on floor
+        self._soles = np.zeros((model.ngeom, model.ngeom), dtype=bool)  # pairs of geoms that are a sole and the floor
+        for pair in (model.pair_geom1, model.pair_geom2), (model.pair_geom2, model.pair_geom1):
+            self._soles[pair] = True
         self._scratch = mujoco.MjData(model)
         self._scratch_model = copy(model)
         self._records = self._buffers(1)
@@ -175,24 +176,24 @@ class Physics:
         model = self._batch.get_model(sim, self._scratch_model) if self._own else self.model
         data = self._scratch
         mujoco.mj_setState(model, data, self.rows[sim], STATE)
-        found = []
+        counts, geoms, distances, places = [], [], [], []
         for substep in substeps:
             data.qpos[:] = qpos[substep]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             contact = data.contact
-            found.append((np.full(data.ncon, substep), contact.geom.copy(), contact.dist.copy(), contact.pos.copy()))
-        return deepest(self._rows(*(np.concatenate(part) for part in zip(*found, strict=True))))
-
-    def _rows(self, substep: Array, geoms: Array, distance: Array, position: Array) -> Array:
-        """CONTACT rows of the contacts other than sole on floor."""
-        first, second = geoms.min(axis=1), geoms.max(axis=1)
-        keep = ~np.isin(first * self.model.ngeom + second, self._pairs)
-        rows = np.zeros(int(keep.sum()), dtype=CONTACT)
-        rows["substep"], rows["geom1"], rows["geom2"] = substep[keep], first[keep], second[keep]
-        rows["depth"] = -distance[keep]
-        rows["x"], rows["y"], rows["z"] = position[keep].T
-        return rows
+            counts.append(data.ncon)
+            geoms.append(contact.geom.copy())
+            distances.append(contact.dist.copy())
+            places.append(contact.pos.copy())
+        every = np.concatenate(geoms)
+        first, second = np.minimum(every[:, 0], every[:, 1]), np.maximum(every[:, 0], every[:, 1])
+        keep = np.flatnonzero(~self._soles[first, second])
+        rows = np.zeros(len(keep), dtype=CONTACT)
+        rows["substep"], rows["geom1"], rows["geom2"] = np.repeat(substeps, counts)[keep], first[keep], second[keep]
+        rows["depth"] = -np.concatenate(distances)[keep]
+        rows["x"], rows["y"], rows["z"] = np.concatenate(places)[keep].T
+        return deepest(rows)
 
     def diverged(self, ids: Array) -> Array:
         """Simulations whose last call left no number, one beyond all bounds, or an error of MuJoCo's, (len(ids),) bool."""
