@@ -16,7 +16,7 @@ from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.feasibility import DistanceChecker
 from coordlog.smooth.spline import Spline
 
-_WIDEST = 16  # knots in a stretch at first: a smooth path far from everything needs no more
+_WIDEST = 8  # knots in a stretch at first: far from everything a smooth path needs no more
 _FINEST = 1e-4  # knots: a path so close to trouble that an answer covers less than this counts as unproven
 _SHORT = 16  # times the finest: only in stretches this short, for in longer ones it is the bound that is coarse
 

@@ -27,8 +27,9 @@ class Config:
     ends: str = "auto"
     """Slope at the ends: rest (zero), keep (the given end velocities), natural (free, without bending).
     auto: natural for the paper's method, rest for the others. The end points themselves are always exact."""
-    dense: int = 4
-    """Samples per knot at which a path is checked; 1: the knots alone."""
+    dense: int | None = None
+    """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all there is, 2 beside a
+    certificate, which sees everything between them and only shares no code with them in the checker."""
     certify: bool = True
     """Prove the stretches between samples as well; needs a checker that knows distances."""
     budget: int | None = None
@@ -50,7 +51,7 @@ class Config:
             raise ConfigError(f"max_deviation: expected an angle above 0 rad, got {self.max_deviation!r}")
         if not 0.0 <= self.clearance < float("inf"):
             raise ConfigError(f"clearance: expected a distance of at least 0 m, got {self.clearance!r}")
-        if self.dense < 1 or (self.budget is not None and self.budget < 1):
+        if any(number is not None and number < 1 for number in (self.dense, self.budget)):
             raise ConfigError(f"dense, budget: expected at least 1, got {self.dense!r}, {self.budget!r}")
 
     @classmethod
@@ -65,6 +66,11 @@ class Config:
             if name not in names:
                 raise unknown("option", name, names)
         return cls(**options)
+
+    @property
+    def per_knot(self) -> int:
+        """Samples per knot."""
+        return self.dense or (2 if self.certify else 4)
 
     @property
     def clamped(self) -> bool:

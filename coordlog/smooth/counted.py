@@ -53,8 +53,8 @@ class Counted:
         assert self._distances is not None
         return self._distances.drift(start, stop)
 
-    def try_on(self, time: Floats, q: Floats, clearance: float) -> None:
-        """Ask once and look at the shapes of the answers, before they are relied on.
+    def try_on(self, time: Floats, q: Floats, clearance: float) -> Verdict:
+        """Ask as `check`, and look at the shapes of all answers before they are relied on.
 
         Raises:
             SpecError: if one is wrong.
@@ -67,6 +67,7 @@ class Counted:
             slack, reach = np.shape(self.slack(time, q, clearance)), np.shape(self.reach)
             if len(reach) != 2 or reach[1] != n_j or slack != (n, reach[0]):
                 raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {slack} and {reach}")
+        return verdict
 
     def _stop(self) -> None:
         if self.budget is not None and self.checks + self.slacks > self.budget:

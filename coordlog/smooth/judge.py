@@ -17,7 +17,7 @@ from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.certificate import certify
 from coordlog.smooth.config import Config
 from coordlog.smooth.counted import Counted
-from coordlog.smooth.feasibility import Checker
+from coordlog.smooth.feasibility import Checker, Verdict
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.limits import Limits, limit_breaches
 from coordlog.smooth.samples import Samples
@@ -54,14 +54,14 @@ class Judge:
             raise ConfigError("certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples")
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
-        self.samples = Samples(knots.time, config.dense)
+        self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._raw, self._config = knots, raw, config
         self._raw_limits = limit_breaches(raw, self.widths)
         self._raw_depth = np.full(len(self.samples.time), np.nan)  # NaN: not asked yet
         self._raw_what = np.full(len(self.samples.time), -1)
         ends = slice(None, None, len(knots.time) - 1)
-        self.asked.try_on(knots.time[ends], knots.position[ends], config.clearance)
-        self.ends = self._contacts(knots.time[ends], knots.position[ends])
+        verdict = self.asked.try_on(knots.time[ends], knots.position[ends], config.clearance)
+        self.ends = _contacts(knots.time[ends], verdict)
         """Breaches of the end points, which no candidate can mend."""
         self.failed = NONE
         """Why the last candidate that was ruled out was ruled out."""
@@ -72,7 +72,7 @@ class Judge:
         Args:
             spline: The candidate.
             hot: Indices of samples that are likely to fail, asked first.
-            lenient: Excuse breaches that the raw path commits too, and no less deeply.
+            lenient: Excuse breaches that the raw path commits too, and no less deeply; called for if the ends break a rule.
         """
         proof = self._prove(spline, hot=hot, lenient=lenient)
         if len(proof.found):
@@ -86,8 +86,6 @@ class Judge:
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
             excused = excused + look
-        if not lenient and len(self.ends):
-            return Proof(self.ends, NONE, certified=False)
         between, certified = self._between(spline, excused)
         return Proof(between, excused, certified)
 
@@ -149,11 +147,8 @@ class Judge:
             index = index[fresh[index]]
             if len(index):
                 fresh[index] = False
-                yield self._contacts(self.samples.time[index], self.samples(spline, index))
-
-    def _contacts(self, time: Floats, q: Floats) -> Breaches:
-        free, depth, what = self.asked.check(time, q, self._config.clearance)
-        return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])
+                time = self.samples.time[index]
+                yield _contacts(time, self.asked.check(time, self.samples(spline, index), self._config.clearance))
 
     def _deviation(self, spline: Spline) -> Breaches:
         if self._config.max_deviation is None:
@@ -162,3 +157,8 @@ class Judge:
         over = away.max(axis=1) - self._config.max_deviation
         bad = over > 0.0
         return breaches(Kind.DEVIATION, self._knots.time[bad], over[bad], away.argmax(axis=1)[bad])
+
+
+def _contacts(time: Floats, verdict: Verdict) -> Breaches:
+    free, depth, what = verdict
+    return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])

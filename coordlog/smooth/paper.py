@@ -19,7 +19,7 @@ from coordlog.smooth.spline import Spline
 
 _PRECISION = 1e-6  # of p, as in the paper
 _BLOCK = 32  # knots asked about at once, before looking whether one has failed
-_REFRESH = 4  # times a knot is asked about for one joint before it is worth measuring its slack anew
+_REFRESH = 3  # times a knot is asked about before it is worth measuring its slack anew
 
 
 def paper(problem: Problem) -> Iterator[Candidate]:
@@ -61,58 +61,76 @@ def _fit(problem: Problem, joint: int, p: float) -> Spline:
 
 
 class _Knots:
-    """The path at its knots, always free there, and what is known about how far each knot may move."""
+    """The path at its knots, always free there, and what is known about how far each knot may move.
+
+    A knot has at most one reference: a configuration whose slack is known. It is asked about only where the joint at hand
+    has turned further from there than that slack allows.
+    """
 
     def __init__(self, problem: Problem) -> None:
         self.path = problem.knots.position.copy()
         self._problem, self._asked = problem, problem.judge.asked
-        self._measured = self.path.copy()
+        self._time, self._clearance = problem.knots.time, problem.config.clearance
         self._failed = np.zeros(0, np.intp)
-        self._times = np.zeros(len(self.path), int)  # asked about each knot since `turn_to`
+        self._times = np.zeros(len(self.path), int)  # asked about each knot since its reference was made
+        self._room = np.zeros(len(self.path))  # rad that the joint at hand may turn from the reference
 
     def start(self) -> bool:
         """Whether the samples are free, p = 1 for every joint."""
         if not self._within(slice(None), self.path) or not self._ask(np.arange(len(self.path)), self.path):
             return False
+        self._reference = self.path.copy()
         if self._asked.measures:
-            self._slack = self._asked.slack(self._problem.knots.time, self.path, self._problem.config.clearance)
+            self._slack = self._asked.slack(self._time, self.path, self._clearance)
         return True
 
     def turn_to(self, joint: int) -> None:
-        """Take the next joint, and bound how far each knot may turn it: `_room`, rad."""
+        """Take the next joint."""
         self._joint = joint
-        self._times = np.zeros(len(self.path), int)
-        self._room = np.zeros(len(self.path))
-        if self._asked.measures and self._asked.reach.size:
-            reach = self._asked.reach
-            pairs = np.flatnonzero(reach[:, joint] > 0.0)  # the others do not notice, and are free as the path stands
-            left = self._slack[:, pairs] - abs(self.path - self._measured) @ reach[pairs].T
-            self._room = (left / reach[pairs, joint]).min(axis=1, initial=np.inf)
+        self._times[:] = 0
+        self._bound(np.arange(len(self.path)))
 
     def free(self, values: Floats) -> bool:
         """Whether the path with these angles of the joint, (K,), keeps every rule at the knots."""
-        if not self._within(self._joint, values):
+        joint = self._joint
+        if not self._within(joint, values):
             return False
-        turned = abs(values - self.path[:, self._joint])
-        ask = np.flatnonzero((turned > 0.0) & ~(turned < self._room))
+        turned = abs(values - self._reference[:, joint])
+        ask = np.flatnonzero((values != self.path[:, joint]) & ~(turned < self._room))
         path = self.path.copy()
-        path[:, self._joint] = values
+        path[:, joint] = values
         first = np.intersect1d(self._failed, ask)
-        return all(self._ask(block, path) for block in (first, np.setdiff1d(ask, first)))
+        free = all(self._ask(block, path) for block in (first, np.setdiff1d(ask, first)))
+        self._measure(np.flatnonzero(self._times >= _REFRESH), path)
+        return free
 
     def accept(self, values: Floats) -> None:
-        """Make these angles of the joint part of the path; where slack ran short, measure it anew."""
+        """Make these angles of the joint part of the path."""
         self.path[:, self._joint] = values
-        short = np.flatnonzero(self._times >= _REFRESH)
-        if self._asked.measures and len(short):
-            time = self._problem.knots.time[short]
-            self._slack[short] = self._asked.slack(time, self.path[short], self._problem.config.clearance)
-            self._measured[short] = self.path[short]
+
+    def _measure(self, index: Ints, path: Floats) -> None:
+        """Make new references of a trial: the next ones will be near it."""
+        if self._asked.measures and len(index):
+            self._slack[index] = self._asked.slack(self._time[index], path[index], self._clearance)
+            self._reference[index] = path[index]
+            self._times[index] = 0
+            self._bound(index)
+
+    def _bound(self, index: Ints) -> None:
+        """Turn slack into room for the joint at hand, the other joints standing where they are."""
+        if not self._asked.measures or not self._asked.reach.size:
+            return
+        reach, joint = self._asked.reach, self._joint
+        pairs = np.flatnonzero(reach[:, joint] > 0.0)  # the others do not notice, and are free as the path stands
+        away = abs(self.path[index] - self._reference[index])
+        away[:, joint] = 0.0
+        left = self._slack[np.ix_(index, pairs)] - away @ reach[pairs].T
+        self._room[index] = (left / reach[pairs, joint]).min(axis=1, initial=np.inf)
 
     def _ask(self, index: Ints, path: Floats) -> bool:
         for block in (index[i : i + _BLOCK] for i in range(0, len(index), _BLOCK)):
             self._times[block] += 1
-            free = self._asked.check(self._problem.knots.time[block], path[block], self._problem.config.clearance).free
+            free = self._asked.check(self._time[block], path[block], self._clearance).free
             if not free.all():
                 self._failed = np.concatenate([block[~free], self._failed])[:_BLOCK]
                 return False

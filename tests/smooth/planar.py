@@ -21,7 +21,7 @@ class PlanarArm:
         own = np.array([[arm[k, j] if j > i else 0.0 for j in range(n)] for i, k in self.selfs]).reshape(-1, n)
         mass = self.lengths / self.lengths.sum()
         self.reach = np.vstack([np.repeat(arm, len(self.discs), axis=0), own, (mass @ arm)[None]])
-        self.asked = 0
+        self.asked, self.measured = 0, 0
 
     def points(self, time, q):
         """Joints and tip, shape (n, n_links + 1, 2)."""
@@ -31,6 +31,14 @@ class PlanarArm:
         return base[:, None] + np.concatenate([np.zeros((len(q), 1, 2)), np.cumsum(step, axis=1)], axis=1)
 
     def slack(self, time, q, clearance):
+        self.measured += len(q)
+        return self._slack(time, q, clearance)
+
+    def check(self, time, q, clearance):
+        self.asked += len(q)
+        return Verdict.from_slack(self._slack(time, q, clearance))
+
+    def _slack(self, time, q, clearance):
         p = self.points(time, q)
         a, b = p[:, :-1], p[:, 1:]
         discs = _to_segment(self.discs[None, None, :, :2], a[:, :, None], b[:, :, None]) - self.discs[:, 2] - self.radius
@@ -41,10 +49,6 @@ class PlanarArm:
         com = ((a + b) / 2 * (self.lengths / self.lengths.sum())[:, None]).sum(axis=1)[:, 0]
         columns.append((self.balance - np.abs(com))[:, None])
         return np.concatenate(columns, axis=1)
-
-    def check(self, time, q, clearance):
-        self.asked += len(q)
-        return Verdict.from_slack(self.slack(time, q, clearance))
 
     def drift(self, start, stop):
         return np.full((len(start), 1), 5.0 * self.sway)

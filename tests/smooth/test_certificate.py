@@ -47,6 +47,38 @@ def test_what_no_sample_sees_is_found():
     assert not len(certify(flat(0.6), thin, 0.0))
 
 
+class Ceiling(Bump):
+    def __init__(self, height):
+        self.height = height
+
+    def slack(self, time, q, clearance):
+        return self.height - q - clearance
+
+    def drift(self, start, stop):
+        return np.zeros((len(start), 1))
+
+
+@pytest.mark.parametrize(
+    "spline",
+    [
+        Spline(np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1))),  # at rest at both ends, fast between
+        Spline(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])),  # a hump
+        Spline(np.array([0.0, 0.5, 1.0]), np.array([[0.0], [0.2], [1.0]]), np.array([[0.0], [0.9], [0.0]])),
+    ],
+)
+def test_the_bound_leaves_no_gap_and_little_room(spline):
+    """Each path reaches exactly 1."""
+    assert len(certify(spline, Ceiling(0.9999), 0.0))
+    assert len(certify(spline, Ceiling(0.99), 0.0))
+    assert not len(certify(spline, Ceiling(1.002), 0.0))
+
+
+def test_the_least_depth_is_a_breach():
+    found = certify(flat(0.5), Ceiling(0.5 - 1e-9), 0.0)
+    assert set(found.kind) == {Kind.CONTACT}
+    assert found.depth[0] == pytest.approx(1e-9)
+
+
 def test_clearance_is_proven_too():
     wide = Bump(height=0.5, centre=3.0, width=2.0)
     assert not len(certify(flat(0.6), wide, 0.09))
@@ -107,4 +139,4 @@ def test_far_from_everything_it_costs_a_fraction_of_the_knots():
 
     time = np.linspace(0.0, 3.0, 151)
     assert not len(certify(fit(time, np.sin(time)[:, None], lam=0.0), Far(), 0.0))
-    assert sum(asked) == pytest.approx(10)
+    assert sum(asked) == 19
