@@ -159,6 +159,12 @@ class SceneChecker:
         padded = np.concatenate([self._drift, self._drift[-1:]])  # reduceat wants every index inside the array
         return np.asarray(np.maximum.reduceat(padded, np.stack([first, end], axis=1).ravel())[::2])
 
+    def nearest(self, time: Array, q: Array) -> float:
+        """Least distance of any pair that keeps a clearance, over n configurations [m]; no more than NEAR."""
+        if not self._keep.any():
+            return NEAR
+        return min(NEAR, float(self.slack(time, q, 0.0)[:, : len(self.pairs)][:, self._keep].min()))
+
     def describe(self, what: int) -> str:
         """Name a pair."""
         if what == len(self.pairs):
