@@ -46,7 +46,7 @@ class Trace(NamedTuple):
 
 
 def exact_here(header: Header) -> str:
-    """"" if this machine must reproduce the log bit for bit, else the reason why it can only come near."""
+    """Why this machine can only come near the log; empty if it must reproduce it bit for bit."""
     wanted = (header.env["mujoco_version"], header.env["architecture"])
     here = (mujoco.__version__, platform.machine())
     return "" if wanted == here else f"recorded with MuJoCo {wanted[0]} on {wanted[1]}, replayed with MuJoCo {here[0]} on {here[1]}"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coordlog.errors import ConfigError, SpecError
-from coordlog.smooth import result
 from coordlog.smooth.arrays import Floats
 from coordlog.smooth.breach import Breaches, Kind
 from coordlog.smooth.config import Config
@@ -23,7 +22,7 @@ from coordlog.smooth.local import local
 from coordlog.smooth.metrics import measure
 from coordlog.smooth.paper import paper
 from coordlog.smooth.problem import Candidate, Problem
-from coordlog.smooth.result import Result, Violation
+from coordlog.smooth.result import KEPT_RAW, PARTLY, RAW_INFEASIBLE, SMOOTHED, Result, Violation
 from coordlog.smooth.shared import shared
 from coordlog.smooth.spline import Grid, Spline
 
@@ -128,12 +127,12 @@ def _verdict(problem: Problem, best: Candidate | None, spent: bool, names: Seque
     if len(excused):
         violation = _worst(problem, excused, names)
         if _unsafe(problem, best.spline, excused):
-            return result.RAW_INFEASIBLE, f"the log itself breaks a rule, and so does the path: {violation}", violation, best
-        return result.PARTLY, f"not all that was asked for could be had, nor does the log have it: {violation}", violation, best
+            return RAW_INFEASIBLE, f"the log itself breaks a rule, and so does the path: {violation}", violation, best
+        return PARTLY, f"not all that was asked for could be had, nor does the log have it: {violation}", violation, best
     raw = [name for name, lam in zip(names, best.lam, strict=True) if lam == 0.0]
     if raw:
-        return result.PARTLY, f"left as in the log, for nothing smoother was free: {', '.join(raw)}", None, best
-    return result.SMOOTHED, "", None, best
+        return PARTLY, f"left as in the log, for nothing smoother was free: {', '.join(raw)}", None, best
+    return SMOOTHED, "", None, best
 
 
 def _kept(problem: Problem, spent: bool, names: Sequence[str]) -> tuple[str, str, Violation | None, Candidate]:
@@ -143,11 +142,11 @@ def _kept(problem: Problem, spent: bool, names: Sequence[str]) -> tuple[str, str
     kept = Candidate(raw, np.zeros(n_j), problem.knots.weight, proof)
     if len(proof.found) and _unsafe(problem, raw, proof.found):
         violation = _worst(problem, proof.found, names)
-        return result.RAW_INFEASIBLE, f"the log itself breaks a rule, and no path was found that does not: {violation}", violation, kept
+        return RAW_INFEASIBLE, f"the log itself breaks a rule, and no path was found that does not: {violation}", violation, kept
     if spent:
-        return result.KEPT_RAW, f"the checker was asked about {problem.config.budget} configurations without a proof", None, kept
+        return KEPT_RAW, f"the checker was asked about {problem.config.budget} configurations without a proof", None, kept
     failure = _worst(problem, failed if len(failed) else proof.found, names)
-    return result.KEPT_RAW, f"no smoother path could be proven: {failure}", failure, kept
+    return KEPT_RAW, f"no smoother path could be proven: {failure}", failure, kept
 
 
 def _unsafe(problem: Problem, path: Spline, found: Breaches) -> bool:
