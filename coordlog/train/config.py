@@ -88,6 +88,8 @@ class LearnerConfig:
     """Rewards are multiplied by this before learning, so that |Q| is about 10 at most; metrics are in unscaled units."""
     gradient: Gradient = "mask"
     """How the heads' action gradients combine: "mask" is DiGrad (eq. 3), the others are ablations."""
+    effort: float = 0.1
+    """Cost w · mean μ(s)² in the actor's loss: keeps tanh out of saturation, where no gradient passes (as in Andrychowicz et al. 2017)."""
     normalise: bool = True
     """Divide the actor's gradient by mean |Q|, so that the behaviour term keeps its weight as Q grows (TD3+BC)."""
 
@@ -99,7 +101,7 @@ class LearnerConfig:
         require(self.actor_delay >= 1, "learner.actor_delay", "at least 1", self.actor_delay)
         for name in ("actor_rate", "critic_rate", "reward_scale"):
             require(getattr(self, name) > 0, f"learner.{name}", "a positive number", getattr(self, name))
-        for name in ("weight_decay", "target_noise", "target_clip"):
+        for name in ("weight_decay", "target_noise", "target_clip", "effort"):
             require(getattr(self, name) >= 0, f"learner.{name}", "a number ≥ 0", getattr(self, name))
 
 

@@ -139,7 +139,7 @@ class Learner:
         """Eqs. (2) and (3), with the behaviour term and the normalisation of TD3+BC if asked for.
 
         θ^μ ascends mean_s Σ_i (m_i ⊙ ∇_a Q_i(s, a))ᵀ ∇_θ μ(s) / λ - w ∇_θ mean |μ(s) - a_logged|² / n_u at a = μ(s), λ = mean |Q|.
-        The behaviour term is divided by B, not by the number of log samples: a log sample's balance of value
+        The effort term, w_e mean |μ(s)|² / n_u, is added to the loss likewise. The behaviour term is divided by B, not by the number of log samples: a log sample's balance of value
         against imitation does not depend on what else is in the batch.
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
@@ -152,7 +152,7 @@ class Learner:
             size = len(q) * (q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1)
             away = (leaf - batch.action) * batch.logged
             behaviour = away.square().mean()
-            pull = away * (2 * behaviour_weight / away.numel())
+            pull = away * (2 * behaviour_weight / away.numel()) + leaf * (2 * self.config.effort / leaf.numel())
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()
         self._step_actor(action, [slope * weight / size for slope, weight in zip(slopes, self._head_weights, strict=True)], pull)
         return q.mean(dim=0) / self.config.reward_scale, behaviour, saturation

@@ -51,6 +51,7 @@ PRESETS: dict[str, Settings] = {
             target_noise=0.0,
             clip_targets=False,
             reward_scale=1.0,
+            effort=0.0,
             normalise=False,
         ),
         behaviour=BehaviourConfig(weight=0.0, final=0.0),
