@@ -27,6 +27,8 @@ from coordlog.sim.scene import sole_corner
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 NEAR = 0.08
 """Distances up to this are measured [m]; pairs whose bounding spheres are further apart get that lower bound."""
+FALLING = -0.1
+"""Margin of balance [m] where there is no support at all; what is less than no margin is not a distance anyway."""
 NEVER = -1e3  # m: a contact margin that no contact meets
 
 
@@ -221,7 +223,7 @@ class SceneChecker:
         before = np.clip(np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1)
         after = np.minimum(before + 1, len(self._time) - 1)
         corners[..., 2] = np.where(self._standing[before] & self._standing[after], 0.0, 1.0)
-        return np.asarray(support_margin(com, corners) - self._margin)
+        return np.asarray(np.maximum(support_margin(com, corners) - self._margin, FALLING))
 
     def _low(self, qpos: Array) -> Array:
         """Which corners of the soles are on the floor, (T, C) bool."""
