@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO ?= demo
 
-.PHONY: help demo test check fix bench schemas clean
+.PHONY: help demo test check lint fix bench schemas clean
 .DEFAULT_GOAL := help
 
 help:  ## what there is to make
@@ -25,11 +25,12 @@ demo: $(READY)  ## record in four scenes, check every file by replay, list them
 test: $(READY)  ## all tests, under five minutes on two cores
 	$(BIN)/python -m pytest
 
-check: $(READY)  ## format, lint, types, tests: what has to pass before a change lands
+check: lint test  ## format, lint, types, tests: what has to pass before a change lands
+
+lint: $(READY)  ## format, lint and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
 
 fix: $(READY)  ## format and repair what can be repaired
 	$(BIN)/ruff format .
