@@ -79,14 +79,15 @@ def crosses(start: Array, ends: Array, low: Array, high: Array) -> Array:
 
 
 def _seen(stage: Stage) -> Array:
-    """Points that must be in the picture, (n, 3): robot, hand paths and goals with some room around them, and the panels."""
+    """Points that must be in the picture, (n, 3): robot, hand paths and goals with some room around them, and all that stands about."""
     motion, geoms = stage.motion, stage.geometry.geoms
     robot = [geom.index for geom in geoms if geom.place == "robot"]
     places = [motion.position[:, robot], motion.palms, np.array(stage.episode.header.episode["goals"])]
     points = np.concatenate([place.reshape(-1, 3) for place in places])
     seen = [points + side * AROUND for side in (-1.0, 1.0)]
     for geom in geoms:
-        if geom.kind == "box" and geom.place == "world":
-            seen.append(motion.position[0, geom.index] + CORNERS * geom.size)
+        if geom.kind in ("box", "sphere") and geom.place in ("world", "obstacle", "object"):
+            half = geom.size if geom.kind == "box" else (geom.size[0],) * 3
+            seen.append(motion.position[0, geom.index] + CORNERS * half)
     every = np.concatenate(seen)
     return np.asarray(every[np.isfinite(every).all(axis=1)])

@@ -33,7 +33,7 @@ def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
     cut = [stage for stage in stages if stage.episode.result.aborted]
     if cut:
         banners = rrb.Horizontal(*(rrb.TextDocumentView(origin=stage.entity("banner"), name=stage.show.name) for stage in cut))
-        panels = rrb.Vertical(banners, panels, row_shares=[1, 7])
+        panels = rrb.Vertical(banners, panels, row_shares=[1, 9])
     return rrb.Blueprint(panels, *panes(), auto_layout=False, auto_views=False)
 
 
@@ -72,7 +72,7 @@ def _flags(stages: Sequence[Stage]) -> rrb.Tabs:
 
 
 def _text(stage: Stage) -> rrb.TextDocumentView:
-    return rrb.TextDocumentView(origin=stage.entity("about"), name=stage.show.name)
+    return rrb.TextDocumentView(origin=stage.entity("about"), name=stage.label or stage.show.name)
 
 
 def _series(stages: Sequence[Stage], name: str, entities: str, *, span: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
@@ -82,7 +82,11 @@ def _series(stages: Sequence[Stage], name: str, entities: str, *, span: tuple[fl
 
 
 def _span(stages: Sequence[Stage], group: str) -> tuple[float, float]:
-    """A range that shows how the joints move; their limits come into it when they are near."""
-    moved = [stage.episode.qpos[:, stage.geometry.joints[stage.groups[group]]].ravel() for stage in stages if group in stage.groups]
-    angles = np.concatenate(moved)
-    return float(np.nanmin(angles)) - MARGIN, float(np.nanmax(angles)) + MARGIN
+    """A range that shows how the joints move and were to move; their limits come into it when they are near."""
+    angles = []
+    for stage in stages:
+        index, path = stage.groups.get(group, []), stage.episode.path
+        angles += [stage.episode.qpos[:, stage.geometry.joints[index]].ravel()] if index else []
+        angles += [path.knot_position[:, index].ravel(), path.position[:, index].ravel()] if path is not None else []
+    every = np.concatenate(angles)
+    return float(np.nanmin(every)) - MARGIN, float(np.nanmax(every)) + MARGIN

@@ -82,7 +82,7 @@ def draw_cursor(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None
     counts = np.array([len(outcome.arms) for outcome in outcomes])
     colours = np.array([palette.cycle(palette.ARMS, i) for count in counts for i in range(count)], dtype=np.uint8)
     paths = [outcome.palms[:, i] for outcome in outcomes for i in range(len(outcome.arms))]
-    stream.log("/world/cursor/path", rr.LineStrips3D.from_fields(radii=0.006), static=True)
+    stream.log("/world/cursor/path", rr.LineStrips3D.from_fields(radii=0.0045), static=True)
     stream.send_columns("/world/cursor/path", time, rr.LineStrips3D.columns(strips=paths, colors=colours).partition(counts))
     goals = np.concatenate([outcome.goals for outcome in outcomes])
     stream.log("/world/cursor/goal", rr.Points3D.from_fields(radii=0.012), static=True)

@@ -114,11 +114,11 @@ def draw_contacts(stream: rr.RecordingStream, stage: Stage) -> None:
         return
     place = np.stack([contacts["x"], contacts["y"], contacts["z"]], axis=1)
     labels = [f"{names[a]} – {names[b]}" for a, b in zip(contacts["geom1"], contacts["geom2"], strict=True)]
-    everywhere = rr.Points3D(place, radii=0.004, colors=palette.pale(palette.BAD), labels=labels, show_labels=False)
+    everywhere = rr.Points3D(place, radii=0.006, colors=palette.pale(palette.BAD), labels=labels, show_labels=False)
     stream.log(stage.entity("world", "contact", "all"), everywhere, static=True)
     counts = np.bincount(contacts["step"], minlength=len(stage.episode))
     now, entity = rr.Points3D.columns(positions=place, labels=labels), stage.entity("world", "contact", "now")
-    stream.log(entity, rr.Points3D.from_fields(radii=0.014, colors=palette.BAD, show_labels=True), static=True)
+    stream.log(entity, rr.Points3D.from_fields(radii=0.024, colors=palette.BAD, show_labels=True), static=True)
     stream.send_columns(entity, [stage.outcomes], now.partition(counts))
 
 

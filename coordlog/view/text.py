@@ -31,10 +31,8 @@ def title(episode: Episode) -> str:
 
 def banner(episode: Episode) -> str:
     """What must be read first about an episode that did not end by itself."""
-    return (
-        f"# This episode was cut short\n**{plain(episode.result.aborted)}** – {len(episode)} steps ({episode.time[-1]:.2f} s) "
-        "are in the file and shown here; its result says nothing about the policy."
-    )
+    reason, shown = plain(episode.result.aborted), f"{len(episode)} steps ({episode.time[-1]:.2f} s)"
+    return f"### This episode was cut short: {reason}. What is there, {shown}, is shown; how it went says nothing about the policy."
 
 
 def about(episode: Episode, *, file: str = "") -> str:

@@ -28,8 +28,10 @@ BINARY = Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win3
 SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
-STILL_SECONDS = 15.0
-"""A picture is taken when two in a row are equal, or after this long."""
+STILL_SECONDS = 2.0
+"""A picture is good once nothing has changed for so long: plots glide into place, and the viewer's own notices fade."""
+PATIENCE = 20.0
+"""It is taken anyway after this long [s]."""
 NO_VULKAN = (
     "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install mesa-vulkan-drivers), "
     "or use --save FILE and open it on another machine"
@@ -175,12 +177,14 @@ class Headless(Viewer):
         """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
         views = self._client.get_state().views
         place = next(view.view_id for view in views if view.view_class == kind) if kind else None
-        deadline = time.monotonic() + STILL_SECONDS
-        before, now = b"", bytes(self._client.take_screenshot(place))
-        while now != before and time.monotonic() < deadline:
-            time.sleep(0.15)
-            before, now = now, bytes(self._client.take_screenshot(place))
-        return now
+        began = still = time.monotonic()
+        picture = bytes(self._client.take_screenshot(place))
+        while time.monotonic() < min(still + STILL_SECONDS, began + PATIENCE):
+            time.sleep(0.1)
+            now = bytes(self._client.take_screenshot(place))
+            if now != picture:
+                picture, still = now, time.monotonic()
+        return picture
 
     def views(self) -> list[str]:
         """Names of all views."""
