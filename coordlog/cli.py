@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, record, recover, scenes, smooth, train, view
+from coordlog.commands import check, info, plot, record, recover, scenes, smooth, train, view
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.version import __version__
@@ -31,6 +31,7 @@ app.command("info")(info.info)
 app.command("recover")(recover.recover)
 app.command("train")(train.train)
 app.command("smooth")(smooth.smooth)
+app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
 

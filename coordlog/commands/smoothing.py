@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from coordlog.errors import CoordlogError, StorageError
 
 if TYPE_CHECKING:
-    from coordlog.episode import Episode, Json
+    from coordlog.episode import Array, Episode, Json
     from coordlog.sim.clearance import SceneChecker
     from coordlog.smooth.execute import Execution
     from coordlog.smooth.feasibility import DistanceChecker
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 TRANSFORM = "smooth"
 """The lineage's name for what is done here."""
 SKIPPED, DONE = "skipped", "done before"
-FASTER = 1.05
-"""A path may be faster than the log's fastest step by this factor: between two measured angles the log was faster too."""
+FASTER = 1.02
+"""A path may be as fast as the servo targets may move, or as the log's own interpolant, whichever is faster, and by this factor more."""
 
 
 class Job(NamedTuple):
@@ -108,13 +108,24 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     log = Log(episode.header, model, np.frombuffer(attachments[INITIAL_STATE]), episode.action)
     task = task_of(log)
     angles = episode.qpos[:, task.qpos_index]
-    fastest = np.abs(np.diff(angles, axis=0) / np.diff(episode.time)[:, None]).max(axis=0)
+    fastest = _fastest(episode.time, angles)
     limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, **settings)
     execution = execute(log, result, episode)
     parameters = _parameters(episode, result, execution, settings, checker)
     return _episode(episode, result, execution, digest, parameters), parameters
+
+
+def _fastest(time: Array, angles: Array) -> Array:
+    """Largest speed of each joint along the interpolant of a log, at rest at both ends, (n_u,) [rad/s]."""
+    import numpy as np
+
+    from coordlog.smooth.spline import fit
+
+    through = fit(time, angles, lam=0.0, velocity=np.zeros((2, angles.shape[1])))
+    samples = np.linspace(time[0], time[-1], 8 * len(time))
+    return np.asarray(np.abs(through(samples, 1)).max(axis=0))
 
 
 def _episode(raw: Episode, result: Result, execution: Execution, digest: str, parameters: Json) -> Episode:
