@@ -3,8 +3,8 @@
     python bench/bench_train.py [--threads N] [--rows 1500000] [--json FILE]
 
 Updates are compared with stable-baselines3's TD3: twin critics of 256/256, the same widths and batch, on a batch drawn beforehand, so
-that replay and simulation are in neither. Batches are compared with `index_select` on tensors that are already in memory. The variants of one
-measurement take turns, and the median turn counts.
+that replay and simulation are in neither. Batches are compared with `index_select` on tensors that are already in memory. The variants
+of one measurement take turns, and the median turn counts.
 """
 
 from __future__ import annotations

@@ -88,8 +88,6 @@ class LearnerConfig:
     """Rewards are multiplied by this before learning, so that |Q| is about 10 at most; metrics are in unscaled units."""
     gradient: Gradient = "mask"
     """How the heads' action gradients combine: "mask" is DiGrad (eq. 3), the others are ablations."""
-    effort: float = 0.1
-    """Cost w · mean μ(s)² in the actor's loss: keeps tanh out of saturation, where no gradient passes (as in Andrychowicz et al. 2017)."""
     normalise: bool = True
     """Divide the actor's gradient by mean |Q|, so that the behaviour term keeps its weight as Q grows (TD3+BC)."""
 
@@ -101,7 +99,7 @@ class LearnerConfig:
         require(self.actor_delay >= 1, "learner.actor_delay", "at least 1", self.actor_delay)
         for name in ("actor_rate", "critic_rate", "reward_scale"):
             require(getattr(self, name) > 0, f"learner.{name}", "a positive number", getattr(self, name))
-        for name in ("weight_decay", "target_noise", "target_clip", "effort"):
+        for name in ("weight_decay", "target_noise", "target_clip"):
             require(getattr(self, name) >= 0, f"learner.{name}", "a number ≥ 0", getattr(self, name))
 
 
@@ -113,10 +111,12 @@ class BehaviourConfig:
     """w at the first update; 0 for no pull."""
     final: float = 2.5
     """w at the last update, linear in between. Annealed to nearly nothing, good policies have collapsed."""
+    effort: float = 0.03
+    """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no gradient passes (Andrychowicz 2017)."""
 
     def __post_init__(self) -> None:
         """Check every field."""
-        for name in ("weight", "final"):
+        for name in ("weight", "final", "effort"):
             require(getattr(self, name) >= 0, f"behaviour.{name}", "a number ≥ 0", getattr(self, name))
 
     def at(self, progress: float) -> float:

@@ -98,12 +98,12 @@ class Learner:
         zero = torch.zeros((), dtype=dtype, device=self.device)
         self._last = (zero.expand(k), zero, zero)
 
-    def update(self, batch: Batch, *, behaviour_weight: float = 0.0) -> Update:
+    def update(self, batch: Batch, *, behaviour_weight: float = 0.0, effort: float = 0.0) -> Update:
         """One gradient step of the critic; at every `actor_delay`-th one, of the actor, and of the targets towards both."""
         self.updates += 1
         loss, q = self._update_critic(batch)
         if self.updates % self.config.actor_delay == 0:
-            self._last = self._update_actor(batch, behaviour_weight)
+            self._last = self._update_actor(batch, behaviour_weight, effort)
             self._update_targets()
         low, high = torch.aminmax(q)
         scale = self.config.reward_scale
@@ -135,12 +135,12 @@ class Learner:
         self.critic_optimiser.step()
         return loss.detach(), q.detach()
 
-    def _update_actor(self, batch: Batch, behaviour_weight: float) -> tuple[Tensor, Tensor, Tensor]:
+    def _update_actor(self, batch: Batch, behaviour_weight: float, effort: float) -> tuple[Tensor, Tensor, Tensor]:
         """Eqs. (2) and (3), with the behaviour term and the normalisation of TD3+BC if asked for.
 
         θ^μ ascends mean_s Σ_i (m_i ⊙ ∇_a Q_i(s, a))ᵀ ∇_θ μ(s) / λ - w ∇_θ mean |μ(s) - a_logged|² / n_u at a = μ(s), λ = mean |Q|.
-        The effort term, w_e mean |μ(s)|² / n_u, is added to the loss likewise. The behaviour term is divided by B, not by the number of log samples: a log sample's balance of value
-        against imitation does not depend on what else is in the batch.
+        The effort term, w_e mean |μ(s)|² / n_u, joins the loss likewise. The behaviour term is divided by B, not by the number of log
+        samples: a log sample's balance of value against imitation does not depend on what else is in the batch.
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
@@ -152,7 +152,7 @@ class Learner:
             size = len(q) * (q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1)
             away = (leaf - batch.action) * batch.logged
             behaviour = away.square().mean()
-            pull = away * (2 * behaviour_weight / away.numel()) + leaf * (2 * self.config.effort / leaf.numel())
+            pull = away * (2 * behaviour_weight / away.numel()) + leaf * (2 * effort / leaf.numel())
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()
         self._step_actor(action, [slope * weight / size for slope, weight in zip(slopes, self._head_weights, strict=True)], pull)
         return q.mean(dim=0) / self.config.reward_scale, behaviour, saturation

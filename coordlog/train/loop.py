@@ -196,7 +196,9 @@ class Trainer:
     def _update(self, count: int) -> None:
         for _ in range(count):
             weight = self.settings.behaviour.at(self.progress)
-            self._tally.add(self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight))
+            self._tally.add(
+                self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight, effort=self.settings.behaviour.effort)
+            )
 
     def _pause(self, before: int) -> Event | None:
         """Whatever is due between two rounds."""
