@@ -9,6 +9,7 @@ import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
 from coordlog.errors import ConfigError
+from coordlog.sim.balance import support_margin
 from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.env import BatchEnv, settled
 from coordlog.sim.expert import Expert
@@ -161,6 +162,28 @@ def test_watching_the_zero_moment_point_trips_earlier():
     assert lengths["com+zmp"] < lengths["com"] - 5
 
 
+def test_the_zero_moment_point_is_that_of_the_last_control_period():
+    """Flags against a computation of our own, from the sensors before and after every step."""
+    env = started(config=EnvConfig(balance="com+zmp", shared_speed=0.5, smoothing=0.5))
+    model, sensors, one = env.task.model, env.physics.sensors, np.zeros(1, dtype=int)
+
+    def read(name):
+        return sensors[0, model.sensor(name).adr[0] + np.arange(3)].copy()
+
+    flags = []
+    for step in range(40):
+        before = read("com_velocity")
+        sway = joint(env, "abs_y", (-1.0) ** (step // 4)) + joint(env, "bust_y", (-1.0) ** (step // 4))
+        outcome = env.step(sway.astype(np.float32)[None], one)
+        com, acceleration = read("com"), (read("com_velocity") - before) / 0.04
+        point = com[:2] - com[2] / (9.81 + acceleration[2]) * acceleration[:2]
+        corners = np.array([read(f"{side}_foot_sole_corner_{i}") for side in "lr" for i in range(4)])
+        margin = min(support_margin(point, corners), support_margin(com[:2], corners))
+        assert outcome.instability[0] == (margin < 0.01)
+        flags.append(bool(outcome.instability[0]))
+    assert 3 < sum(flags) < 37
+
+
 def test_watching_the_zero_moment_point_does_not_trip_at_rest():
     assert not any(outcome.instability.any() for outcome in steps(started(config=EnvConfig(balance="com+zmp")), np.zeros(13), 30))
 
@@ -174,6 +197,14 @@ def test_reaching_both_goals_ends_the_episode_with_kappa():
     assert outcome.goal.all()
     assert outcome.terminated.all()
     assert (outcome.reward == 77.0).all()
+
+
+def test_reaching_the_goals_with_the_last_step_is_no_truncation():
+    env = started("planar", config=EnvConfig(max_steps=1))
+    env.physics.mocap_pos[0, env.task.goal_mocaps] = env.task.palms(env.physics.sensors)[0]
+    (outcome,) = steps(env, np.zeros(8), 1)
+    assert outcome.terminated.tolist() == [True]
+    assert outcome.truncated.tolist() == [False]
 
 
 def test_two_of_three_goals_do_not_end_it():
