@@ -91,7 +91,7 @@ def stretched(show: Show, times: int) -> Show:
 
 def by_columns(stage: Stage, eye: Array) -> rr.RecordingStream:
     """The package's way, static content included."""
-    stream = new_stream("bench", name="columns")
+    stream = new_stream("columns")
     draw(stream, stage, eye)
     plot(stream, stage)
     return stream
@@ -99,7 +99,7 @@ def by_columns(stage: Stage, eye: Array) -> rr.RecordingStream:
 
 def by_steps(stage: Stage) -> rr.RecordingStream:
     """The moving content, a row at a time into the entities that the columns go to."""
-    stream, episode, motion = new_stream("bench", name="steps"), stage.episode, stage.motion
+    stream, episode, motion = new_stream("steps"), stage.episode, stage.motion
     kinds = {kind: [geom.index for geom in robot_geoms(stage) if geom.kind == kind] for kind in ARCHETYPES}
     support = motion.support()
     for t in range(len(episode) + 1):
@@ -126,7 +126,7 @@ def by_steps(stage: Stage) -> rr.RecordingStream:
 
 def by_entities(stage: Stage) -> rr.RecordingStream:
     """The moving content with a transform per geom and an entity per curve."""
-    stream, episode, motion = new_stream("bench", name="entities"), stage.episode, stage.motion
+    stream, episode, motion = new_stream("entities"), stage.episode, stage.motion
     geoms, support = robot_geoms(stage), motion.support()
     for t in range(len(episode) + 1):
         stream.set_time("sim_time", duration=float(episode.time[t]))

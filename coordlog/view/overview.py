@@ -20,7 +20,6 @@ from coordlog.view.recording import MARKDOWN, new_stream
 from coordlog.view.scene import draw_still
 from coordlog.view.show import Show, Stage
 
-APPLICATION = "coordlog-overview"
 WINDOW = 50
 """Rates are running means over this many episodes."""
 BIN = 0.005
@@ -47,7 +46,7 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
             stage = Stage(show)
     if not outcomes:
         raise ConfigError("overview: expected at least one episode, got none")
-    stream = new_stream(APPLICATION, name=f"{len(outcomes)} episodes")
+    stream = new_stream(f"{len(outcomes)} episodes")
     stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if stage is not None:
         draw_still(stream, stage)

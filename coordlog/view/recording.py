@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 
 import rerun as rr
@@ -13,7 +14,6 @@ from coordlog.view.plots import plot
 from coordlog.view.scene import draw
 from coordlog.view.show import Show, stages
 
-APPLICATION = "coordlog"
 MARKDOWN = "text/markdown"
 
 
@@ -32,7 +32,7 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     """
     staged = stages(shows, ghosts=ghosts)
     view = camera(staged)
-    stream = new_stream(APPLICATION, name=" and ".join(show.name for show in shows))
+    stream = new_stream(" and ".join(show.name for show in shows))
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for stage in staged:
         draw(stream, stage, view.eye)
@@ -45,9 +45,13 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     return stream
 
 
-def new_stream(application: str, *, name: str) -> rr.RecordingStream:
-    """An empty recording without the timelines of the clock on the wall."""
-    stream = rr.RecordingStream(application)
+def new_stream(name: str) -> rr.RecordingStream:
+    """An empty recording without the timelines of the clock on the wall.
+
+    A viewer keeps one layout per application, the first it meets. Ours carry titles and an eye of their own, so each recording is an
+    application of its own.
+    """
+    stream = rr.RecordingStream(f"coordlog-{uuid.uuid4().hex[:12]}")
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)
     stream.send_recording_name(name)

@@ -36,7 +36,6 @@ def test_episodes_are_told_apart_by_how_they_ended(folder, tmp_path):
     states = [str(row[0]) for row in recording.column("/lane/result", "StateChange:state")]
     assert states == list(KINDS)
     assert_array_equal(recording.times("/lane/result", "StateChange:state", "episode"), np.arange(5))
-    assert [entry.application_id for entry in recording.reader.recordings()] == ["coordlog-overview"]
 
 
 def test_paths_are_those_of_the_palms(folder, tmp_path):
