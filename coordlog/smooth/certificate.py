@@ -21,13 +21,14 @@ _FINEST = 1e-4  # knots: a path so close to trouble that an answer covers less t
 _SHORT = 16  # times the finest: only in stretches this short, for in longer ones it is the bound that is coarse
 
 
-def certify(spline: Spline, checker: DistanceChecker, clearance: float) -> Breaches:
+def certify(spline: Spline, checker: DistanceChecker, clearance: float, *, allowed: Floats | None = None) -> Breaches:
     """Prove that every point of a path is free, or say where that fails.
 
     Args:
         spline: The path.
         checker: Gives slacks, reach and drift.
         clearance: Distance to keep [m].
+        allowed: Metres by which each pair may fall short of it, (P,).
 
     Returns:
         No breaches if the path is proven free; otherwise the first ones found, all CONTACT or all UNPROVEN.
@@ -38,7 +39,7 @@ def certify(spline: Spline, checker: DistanceChecker, clearance: float) -> Breac
     finest = _FINEST * float(np.median(np.diff(spline.time)))
     while len(start):
         middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
-        slack = checker.slack(middle, spline(middle), clearance)
+        slack = checker.slack(middle, spline(middle), clearance) + (0.0 if allowed is None else allowed)
         if not slack.shape[1]:
             return NONE
         bad = ~(slack.min(axis=1) >= 0.0)  # a NaN is bad

@@ -6,6 +6,7 @@ import numpy as np
 
 from coordlog.errors import SpecError
 from coordlog.smooth.arrays import Floats
+from coordlog.smooth.breach import Breaches, Kind, breaches
 from coordlog.smooth.feasibility import Checker, DistanceChecker, Verdict
 
 
@@ -53,8 +54,21 @@ class Counted:
         assert self._distances is not None
         return self._distances.drift(start, stop)
 
-    def try_on(self, time: Floats, q: Floats, clearance: float) -> Verdict:
-        """Ask as `check`, and look at the shapes of all answers before they are relied on.
+    def worst(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+        """Ask `check`; the worst pair of each configuration that is not free."""
+        free, depth, what = self.check(time, q, clearance)
+        return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])
+
+    def every(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+        """Every pair that falls short, if the checker can tell; otherwise the worst of each configuration."""
+        if not self.measures:
+            return self.worst(time, q, clearance)
+        slack = self.slack(time, q, clearance)
+        row, pair = np.nonzero(~(slack >= 0.0))
+        return breaches(Kind.CONTACT, time[row], -slack[row, pair], pair)
+
+    def try_on(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+        """Ask as `every`, and look at the shapes of all answers before they are relied on.
 
         Raises:
             SpecError: if one is wrong.
@@ -63,11 +77,12 @@ class Counted:
         verdict = self.check(time, q, clearance)
         if any(np.shape(part) != (n,) for part in verdict):
             raise SpecError(f"checker.check: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
-        if self.measures:
-            slack, reach = np.shape(self.slack(time, q, clearance)), np.shape(self.reach)
-            if len(reach) != 2 or reach[1] != n_j or slack != (n, reach[0]):
-                raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {slack} and {reach}")
-        return verdict
+        if not self.measures:
+            return breaches(Kind.CONTACT, time[~verdict.free], verdict.depth[~verdict.free], verdict.what[~verdict.free])
+        slack, reach = np.shape(self.slack(time, q, clearance)), np.shape(self.reach)
+        if len(reach) != 2 or reach[1] != n_j or slack != (n, reach[0]):
+            raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {slack} and {reach}")
+        return self.every(time, q, clearance)
 
     def _stop(self) -> None:
         if self.budget is not None and self.checks + self.slacks > self.budget:

@@ -12,20 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.errors import ConfigError
-from coordlog.smooth.arrays import Bools, Floats, Ints
+from coordlog.smooth.arrays import Floats, Ints
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.certificate import certify
 from coordlog.smooth.config import Config
 from coordlog.smooth.counted import Counted
-from coordlog.smooth.feasibility import Checker, Verdict
+from coordlog.smooth.feasibility import Checker
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.limits import Limits, limit_breaches
+from coordlog.smooth.raw import Raw
 from coordlog.smooth.samples import Samples
 from coordlog.smooth.spline import Spline
-
-_STRETCH = 8  # knots around a breach of the raw path over which its worst depth is looked for
-_ALIKE = 1e-6  # m: depths that count as the same
-_LIMITS = (Kind.RANGE, Kind.SPEED, Kind.ACCELERATION)
 
 
 class Proof(NamedTuple):
@@ -36,7 +33,7 @@ class Proof(NamedTuple):
     excused: Breaches
     """Breaches of the raw path that the candidate does not make worse."""
     certified: bool
-    """Free between the samples too: at the clearance asked or, where the raw path has less, without touching."""
+    """Free between the samples too: at the clearance asked, or without touching for pairs excused from it."""
 
 
 class Judge:
@@ -55,14 +52,8 @@ class Judge:
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
         self.samples = Samples(knots.time, config.per_knot)
-        self._knots, self._raw, self._config = knots, raw, config
-        self._raw_limits = limit_breaches(raw, self.widths)
-        self._raw_depth = np.full(len(self.samples.time), np.nan)  # NaN: not asked yet
-        self._raw_what = np.full(len(self.samples.time), -1)
-        ends = slice(None, None, len(knots.time) - 1)
-        verdict = self.asked.try_on(knots.time[ends], knots.position[ends], config.clearance)
-        self.ends = _contacts(knots.time[ends], verdict)
-        """Breaches of the end points, which no candidate can mend."""
+        self._knots, self._config = knots, config
+        self.raw = Raw(raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths)
         self.failed = NONE
         """Why the last candidate that was ruled out was ruled out."""
 
@@ -72,7 +63,7 @@ class Judge:
         Args:
             spline: The candidate.
             hot: Indices of samples that are likely to fail, asked first.
-            lenient: Excuse breaches that the raw path commits too, and no less deeply; called for if the ends break a rule.
+            lenient: Excuse all that the raw path does wrong too, see `Raw.excuses`.
         """
         proof = self._prove(spline, hot=hot, lenient=lenient)
         if len(proof.found):
@@ -80,14 +71,20 @@ class Judge:
         return proof
 
     def _prove(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
-        excused = self.ends if lenient else NONE
+        excused = self.raw.ends
         for look in self._looks(spline, hot):
-            excuse = self.excuses(look) if lenient else np.zeros(len(look), bool)
+            excuse = self.raw.excuses(look, lenient=lenient)
+            if (excuse & (look.kind == Kind.CONTACT)).any():  # a pair that is excused may hide one that is not
+                look = look[look.kind != Kind.CONTACT] + self._every(spline, look.time[look.kind == Kind.CONTACT])
+                excuse = self.raw.excuses(look, lenient=lenient)
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
             excused = excused + look
         between, certified = self._between(spline, excused)
         return Proof(between, excused, certified)
+
+    def _every(self, spline: Spline, time: Floats) -> Breaches:
+        return self.asked.every(time, spline(time), self._config.clearance)
 
     def collides(self, spline: Spline, found: Breaches) -> bool:
         """Whether a contact found is more than being closer than the clearance."""
@@ -98,46 +95,21 @@ class Judge:
 
     def survey(self, spline: Spline) -> Proof:
         """Judge a path by all rules at all samples, whatever is found."""
-        found = self.ends
+        found = self.raw.ends
         for look in self._looks(spline, None):
             found = found + look
         between, certified = self._between(spline, found)
         return Proof(found + between, NONE, certified)
 
     def _between(self, spline: Spline, found: Breaches) -> tuple[Breaches, bool]:
-        """Breaches between samples, and whether there are proven to be none; at no clearance where the samples lack it."""
-        contact = (found.kind == Kind.CONTACT).any()
-        if not self._config.certify or (contact and self.collides(spline, found)):
+        """Breaches between samples, and whether there are proven to be none; pairs found too close need only not touch."""
+        close = np.unique(found.what[found.kind == Kind.CONTACT])
+        if not self._config.certify or (len(close) and self.collides(spline, found)):
             return NONE, False
-        between = certify(spline, self.asked, 0.0 if contact else self._config.clearance)
+        allowed = np.zeros(len(self.asked.reach))
+        allowed[close] = self._config.clearance
+        between = certify(spline, self.asked, self._config.clearance, allowed=allowed)
         return between, not len(between)
-
-    def excuses(self, found: Breaches) -> Bools:
-        """Which breaches the raw path commits too, and no less deeply; no smoothing could be asked to mend them."""
-        excused = np.zeros(len(found), bool)
-        for i in np.flatnonzero(np.isin(found.kind, _LIMITS)):
-            same = (self._raw_limits.kind == found.kind[i]) & (self._raw_limits.what == found.what[i])
-            excused[i] = found.depth[i] <= self._raw_limits.depth[same].max(initial=0.0)
-        contact = np.flatnonzero(found.kind == Kind.CONTACT)
-        excused[contact] = self._excuses_contact(found[contact])
-        return excused
-
-    def _excuses_contact(self, found: Breaches) -> Bools:
-        nearest = self.samples.nearest(found.time)
-        self._ask_about_raw(nearest)
-        too: Bools = self._raw_what[nearest] == found.what
-        if too.any():
-            self._ask_about_raw(self.samples.near(found.time[too], _STRETCH * self._knots.unit))
-        for i in np.flatnonzero(too):
-            too[i] = found.depth[i] <= np.nanmax(self._raw_depth[self._raw_what == found.what[i]]) + _ALIKE
-        return too
-
-    def _ask_about_raw(self, index: Ints) -> None:
-        """Ask about the raw path, at most once for each sample."""
-        index = np.unique(index[np.isnan(self._raw_depth[index])])
-        if len(index):
-            verdict = self.asked.check(self.samples.time[index], self.samples(self._raw, index), self._config.clearance)
-            self._raw_depth[index], self._raw_what[index] = verdict.depth, verdict.what
 
     def _looks(self, spline: Spline, hot: Ints | None) -> Iterator[Breaches]:
         """Look after look, each at something new."""
@@ -148,7 +120,7 @@ class Judge:
             if len(index):
                 fresh[index] = False
                 time = self.samples.time[index]
-                yield _contacts(time, self.asked.check(time, self.samples(spline, index), self._config.clearance))
+                yield self.asked.worst(time, self.samples(spline, index), self._config.clearance)
 
     def _deviation(self, spline: Spline) -> Breaches:
         if self._config.max_deviation is None:
@@ -157,8 +129,3 @@ class Judge:
         over = away.max(axis=1) - self._config.max_deviation
         bad = over > 0.0
         return breaches(Kind.DEVIATION, self._knots.time[bad], over[bad], away.argmax(axis=1)[bad])
-
-
-def _contacts(time: Floats, verdict: Verdict) -> Breaches:
-    free, depth, what = verdict
-    return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])

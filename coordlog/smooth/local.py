@@ -24,7 +24,7 @@ _INSIDE = 1.5  # of an overshoot: how far inside its range a joint's samples are
 
 def local(problem: Problem) -> Iterator[Candidate]:
     """Yield at most one candidate: the smoothest found that every rule lets pass."""
-    found = _search(problem, lenient=len(problem.judge.ends) > 0)
+    found = _search(problem, lenient=False)
     if found is not None:
         yield found
 
@@ -38,7 +38,7 @@ def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
         proof = judge.prove(spline, hot=hot, lenient=lenient)
         if not len(proof.found):
             return problem.candidate(spline, lam, proof, weight)
-        if not lenient and turn >= _PATIENCE and judge.excuses(proof.found).any():
+        if not lenient and turn >= _PATIENCE and judge.raw.excuses(proof.found, lenient=True).any():
             return _search(problem, lenient=True)
         unproven += int((proof.found.kind == Kind.UNPROVEN).any())
         if unproven > _PATIENCE:  # the log itself grazes something there

@@ -16,11 +16,13 @@ from coordlog.smooth.spline import Spline
 SMOOTHED = "smoothed"
 """Proven by every rule asked for."""
 PARTLY = "partly"
-"""Proven free of collision, but something asked for was not to be had; the reason names it."""
+"""Proven free of collision, but not all that was asked for could be had: clearance, speed or acceleration that the log lacks
+too, or a joint that had to stay as in the log. The reason names it."""
 KEPT_RAW = "kept_raw"
 """Nothing smoother could be proven: the path is the log's."""
 RAW_INFEASIBLE = "raw_infeasible"
-"""The log itself breaks a rule, and the path, smoothed or not, breaks it there too, no more deeply. Not safe."""
+"""The log itself breaks a rule, and so does the path, smoothed or not: the same rule, about then, and no more deeply (at the
+samples, to 0.1 mm). Not safe."""
 
 
 class Violation(NamedTuple):
@@ -55,7 +57,7 @@ class Result:
     violation: Violation | None
     """The breach that the reason speaks of."""
     certified: bool
-    """Proven free between samples too: at the clearance asked when smoothed, otherwise at least without touching."""
+    """Proven free between samples too: at the clearance asked, or without touching for the pairs that fall short of it."""
     spline: Spline
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends

@@ -87,13 +87,14 @@ def test_a_knot_is_asked_about_as_soon_as_it_moves_beyond_its_slack():
     for joint in (0, 1):
         knots.turn_to(joint)
         for knot in (20, 50, 80):
-            room = 1.2 - q[knot].sum()
+            room = 1.2 - knots.path[knot].sum()
             for turned, free in ((room - 1e-9, True), (room + 1e-9, False)):
-                values = q[:, joint].copy()
+                values = knots.path[:, joint].copy()
                 values[knot] += turned
                 assert knots.free(values) == free
+        knots.accept(knots.path[:, joint] + 0.05)
     asked = knots._asked.checks
-    assert knots.free(q[:, 1] + 1e-6)  # nothing to ask
+    assert knots.free(knots.path[:, 1] + 1e-6)  # nothing to ask
     assert knots._asked.checks == asked
 
 

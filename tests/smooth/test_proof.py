@@ -66,7 +66,7 @@ def test_returned_paths_are_as_safe_as_their_status_says(method, seed, noise, ma
         np.testing.assert_array_equal(result.spline.position, q)
         assert smallest > -1e-6
     else:  # never worse than the log
-        assert smallest >= gaps(arm, when, interpolant(time, q, method)(when)).min() - 1e-4
+        assert smallest >= gaps(arm, when, interpolant(time, q, method)(when)).min() - 5e-4
     assert result.after.end_error < 1e-12
     if method != "paper":  # the bending energy of a fit is never above the interpolant's
         assert bending(result.spline) <= bending(interpolant(time, q, method)) * (1.0 + 1e-9)
@@ -87,7 +87,7 @@ def test_clearance_asked_is_clearance_kept_or_said(seed, clearance):
         fine = np.linspace(time[0], time[-1], 20_000)
         raw = gaps(arm, fine, interpolant(time, q, "local")(fine)).min()
         assert raw < clearance
-        assert smallest > raw - 1e-5
+        assert smallest > raw - 5e-4
 
 
 @settings(**GENERATED)

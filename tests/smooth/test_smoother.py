@@ -150,13 +150,86 @@ def test_a_log_that_collides_by_its_noise_alone_is_mended():
     assert (result.status, result.certified) == ("smoothed", True)
 
 
-def test_clearance_that_the_end_point_lacks_is_partly_had():
-    time, q = wave(noise=0.005)
-    backward = q[::-1] - q[-1]  # ends as the highest point
-    result = smooth(time, -abs(backward), Ceiling(0.01), clearance=0.05)
+class Walls(Ceiling):
+    """Each joint stays below its own height."""
+
+    reach = np.eye(2)
+
+    def slack(self, time, q, clearance):
+        return self.height - q - clearance
+
+    def describe(self, what):
+        return ("left wall", "right wall")[what]
+
+
+def rise(noise=0.003):
+    """The first joint ends as high as it gets; the second would swing out at the end if it might, and does not."""
+    time = np.linspace(0.0, 2.0, 101)
+    wobble = noise * np.random.default_rng(0).normal(size=(101, 2)) * np.minimum(1.0, 2.0 - time)[:, None]
+    return time, np.stack([1.0 - 0.5 * (time - 2.0) ** 2, -0.5 * time * (2.0 - time)], axis=1) + wobble
+
+
+def test_clearance_that_the_end_point_lacks_costs_little_smoothness():
+    time, q = rise()
+    result = smooth(time, q, Walls([1.01, 9.0]), clearance=0.05)
     assert (result.status, result.certified) == ("partly", True)
-    assert result.violation.kind == "contact"
-    assert result.spline(np.linspace(0.0, 2.0, 3000))[:, 0].max() < 0.01
+    assert (result.violation.kind, result.violation.what) == ("contact", "left wall")
+    assert result.violation.depth == pytest.approx(0.04, abs=1e-3)
+    assert result.spline(np.linspace(0.0, 2.0, 3000))[:, 0].max() < 1.0 + 1e-3
+    assert result.after.jerk < 0.05 * result.before.jerk
+
+
+@pytest.mark.parametrize("certify", [True, False])
+def test_a_pair_excused_hides_no_other(certify):
+    time = np.linspace(0.0, 2.0, 101)
+    q = np.stack([np.full(101, 1.0), -0.5 * time * (2.0 - time)], axis=1)
+
+    class Both(Walls):  # the first joint is 4 cm short of the left wall all along; the right one comes out in mid-path
+        def slack(self, when, angles, clearance):
+            out = -0.28 + 5.0 * np.maximum(0.0, abs(when - 1.0) - 0.3)
+            return np.stack([1.01 - angles[:, 0], out - angles[:, 1]], axis=1) - clearance
+
+        def drift(self, start, stop):
+            return np.full((len(start), 2), 5.0)
+
+    result = smooth(time, q, Both(None), clearance=0.05, certify=certify)
+    samples = np.linspace(0.7, 1.3, 31)
+    assert (result.status, result.certified) == ("partly", certify)
+    assert result.violation.what == "left wall"
+    assert result.spline(samples)[:, 1].max() <= -0.28 - 0.05
+
+
+def test_other_pairs_keep_their_clearance_between_samples():
+    time = np.linspace(0.0, 2.0, 101)
+    q = np.stack([np.full(101, 1.0), -0.5 * time * (2.0 - time)], axis=1)
+
+    class Spike(Walls):  # the left wall is too close throughout; the right one comes 4 cm nearer for 4 ms
+        def slack(self, when, angles, clearance):
+            spike = 0.04 * np.maximum(0.0, 1.0 - abs(when - 1.005) / 0.002)
+            return np.stack([1.01 - angles[:, 0], 0.08 - spike - angles[:, 1]], axis=1) - clearance
+
+        def drift(self, start, stop):
+            return np.where((stop > 1.003) & (start < 1.007), 20.0, 0.0)[:, None] * [1.0, 1.0]
+
+    result = smooth(time, q, Spike(None), clearance=0.05)
+    assert (result.status, result.certified) == ("partly", True)
+    assert result.spline(1.005)[1] <= 0.08 - 0.04 - 0.05
+
+
+def test_an_end_point_alone_may_lack_clearance():
+    time, q = rise()
+    result = smooth(time, q, Walls([1.05 - 1e-6, 9.0]), clearance=0.05)
+    assert (result.status, result.certified) == ("partly", True)
+    assert result.violation.time == 2.0
+    assert result.violation.depth == pytest.approx(1e-6)
+
+
+def test_an_end_that_collides_excuses_nothing_in_mid_path():
+    time = np.linspace(0.0, 2.0, 101)
+    q = np.stack([1.0 - time * (2.0 - time), np.zeros(101)], axis=1)  # from 1 down to 0 and up again
+    result = smooth(time, q, Walls([0.95, 9.0]))
+    assert (result.status, result.certified) == ("raw_infeasible", False)
+    assert result.spline(np.linspace(0.3, 1.7, 500))[:, 0].max() <= 0.95
 
 
 def test_speed_kept_by_the_log_is_kept_by_the_path():
