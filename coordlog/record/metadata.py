@@ -77,12 +77,33 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
     missing = [name for name in HEADER_RECORDS if name not in records]
     if missing:
         raise FormatError(f"metadata {', '.join(missing)} missing: not a coordlog episode")
-    decode_layout(records[ENV])
-    header = Header(*(decode(records[name]) for name in HEADER_RECORDS))
-    _require(header.episode, {"start_time": int}, EPISODE)
-    _require_range({"start_time": header.episode["start_time"]}, MAX_TIME, EPISODE)
-    _require(header.env, {"joints": list}, ENV)
-    return header
+    _require_episode(decode(records[EPISODE]))
+    _require_env(tuple(records[ENV].items()))
+    return Header(*(decode(records[name]) for name in HEADER_RECORDS))
+
+
+def require_readable(records: Mapping[str, Strings]) -> None:
+    """Hold the records of a header that is about to be written to what `decode_header` wants, without decoding them anew each time.
+
+    Raises:
+        FormatError: as `decode_header`.
+    """
+    require_version(records[EPISODE])
+    _require_episode(decode(records[EPISODE]))
+    _require_env(tuple(records[ENV].items()))
+
+
+def _require_episode(episode: Json) -> None:
+    _require(episode, {"start_time": int}, EPISODE)
+    _require_range({"start_time": episode["start_time"]}, MAX_TIME, EPISODE)
+
+
+@lru_cache(maxsize=8)
+def _require_env(items: tuple[tuple[str, str], ...]) -> None:
+    """The record `coordlog.env` is the same for all episodes of a run: judge it once."""
+    env = dict(items)
+    decode_layout(env)
+    _require(decode(env), {"joints": list}, ENV)
 
 
 def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:

@@ -19,7 +19,7 @@ from coordlog.errors import FormatError, SpecError
 from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
 from coordlog.record.messages import Columns, Encoder
-from coordlog.record.metadata import RESULT, decode_header, encode_header, encode_result
+from coordlog.record.metadata import RESULT, encode_header, encode_result, require_readable
 from coordlog.record.storage import PartFile
 from coordlog.record.tally import Tally
 from coordlog.record.topics import topics
@@ -54,7 +54,7 @@ class EpisodeWriter:
         """
         metadata = encode_header(header)
         try:
-            decode_header(metadata)
+            require_readable(metadata)
         except FormatError as error:
             raise SpecError(f"header: {error}") from None
         self.header = header
