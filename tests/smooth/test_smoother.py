@@ -10,7 +10,10 @@ import coordlog.smooth
 from coordlog.episode import Path
 from coordlog.errors import ConfigError, SpecError
 from coordlog.smooth import Limits, Unobstructed, Verdict, smooth
+from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
+from coordlog.smooth.judge import Judge
+from coordlog.smooth.knots import clean
 
 from .planar import PlanarArm, noisy_log
 
@@ -192,7 +195,12 @@ def test_a_pair_excused_hides_no_other(certify):
         def drift(self, start, stop):
             return np.full((len(start), 2), 5.0)
 
-    result = smooth(time, q, Both(None), clearance=0.05, certify=certify)
+    knots, config = clean(time, q), Config(clearance=0.05, certify=certify)
+    judge = Judge(Both(None), knots, coordlog.smooth.fit(time, q, lam=0.0), limits=Limits(), config=config)
+    proof = judge.prove(coordlog.smooth.fit(time, q * [1.0, 0.67], lam=0.0))  # 25 mm short of the right wall
+    assert set(proof.found.what) == {1}
+    assert 0.0 < proof.found.depth.max() < 0.03
+    result = smooth(time, q, Both(None), clearance=0.05, certify=certify, cutoff=0.01)
     samples = np.linspace(0.7, 1.3, 31)
     assert (result.status, result.certified) == ("partly", certify)
     assert result.violation.what == "left wall"
@@ -211,7 +219,7 @@ def test_other_pairs_keep_their_clearance_between_samples():
         def drift(self, start, stop):
             return np.where((stop > 1.003) & (start < 1.007), 20.0, 0.0)[:, None] * [1.0, 1.0]
 
-    result = smooth(time, q, Spike(None), clearance=0.05)
+    result = smooth(time, q, Spike(None), clearance=0.05, cutoff=0.01)
     assert (result.status, result.certified) == ("partly", True)
     assert result.spline(1.005)[1] <= 0.08 - 0.04 - 0.05
 
