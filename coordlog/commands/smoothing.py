@@ -110,8 +110,11 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     angles = episode.qpos[:, task.qpos_index]
     fastest = _fastest(episode.time, angles)
     limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
+    ends = "auto" if settings["method"] == "paper" else "soft"
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
-    result = smooth(episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, **settings)
+    result = smooth(
+        episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, ends=ends, **settings
+    )
     execution = execute(log, result, episode)
     parameters = _parameters(episode, result, execution, settings, checker)
     return _episode(episode, result, execution, digest, parameters), parameters

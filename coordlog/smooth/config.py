@@ -8,7 +8,7 @@ from typing import Any
 from coordlog.errors import ConfigError, unknown
 
 METHODS = ("local", "paper", "shared")
-ENDS = ("auto", "rest", "keep", "natural")
+ENDS = ("auto", "rest", "soft", "keep", "natural")
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Config:
     clearance: float = 0.0
     """Distance that bodies must keep [m]."""
     ends: str = "auto"
-    """Slope at the ends: rest (zero), keep (the given end velocities), natural (free, without bending).
-    auto: natural for the paper's method, rest for the others. The end points themselves are always exact."""
+    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), keep (the given end velocities), natural (free,
+    without bending). auto: natural for the paper's method, rest for the others. The end points themselves are always exact."""
     dense: int | None = None
     """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all there is, 2 beside a
     certificate, which sees everything between them and only shares no code with them in the checker."""
@@ -75,4 +75,4 @@ class Config:
     @property
     def clamped(self) -> bool:
         """Whether the slopes at the ends are fixed."""
-        return self.ends in ("rest", "keep") or (self.ends == "auto" and self.method != "paper")
+        return self.ends in ("rest", "soft", "keep") or (self.ends == "auto" and self.method != "paper")

@@ -14,9 +14,10 @@ import numpy as np
 from coordlog.episode import Array, Episode
 from coordlog.sim.drive import Drive, Run, run, targets
 from coordlog.sim.replay import Log, task_of
+from coordlog.smooth.ease import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
 from coordlog.smooth.result import KEPT_RAW, RAW_INFEASIBLE, Result
-from coordlog.smooth.spline import Grid, Spline
+from coordlog.smooth.spline import Spline
 
 DEEPER = 1e-4
 """Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the same."""
@@ -134,10 +135,10 @@ def worse(ran: Run, episode: Episode) -> str:
 
 def _lead(result: Result, time: Array, ahead: Array) -> Spline:
     """How far the targets are ahead of the angles, (T + 1, n_u) at `time`, smoothed as the path was."""
-    knots, clamped = result.knots, result.config.clamped
+    knots = result.knots
     at_knots = np.stack([np.interp(knots.time, time, column) for column in ahead.T], axis=1)
-    ends = np.zeros((2, ahead.shape[1])) if clamped else None
-    return Grid(knots.time, clamped=clamped).fit_each(at_knots, lam=result.lam, weight=result.weight, velocity=ends)
+    ends = np.zeros((2, ahead.shape[1])) if result.config.clamped else None
+    return grid_for(knots.time, result.config).fit_each(at_knots, lam=result.lam, weight=result.weight, velocity=ends)
 
 
 def _away(ran: Run, path: Spline, places: Array) -> float:

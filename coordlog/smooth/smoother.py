@@ -14,6 +14,7 @@ from coordlog.smooth.arrays import Floats
 from coordlog.smooth.breach import Breaches, Kind
 from coordlog.smooth.config import Config
 from coordlog.smooth.counted import BudgetSpentError
+from coordlog.smooth.ease import grid_for
 from coordlog.smooth.feasibility import Checker
 from coordlog.smooth.judge import Judge
 from coordlog.smooth.knots import Knots, clean
@@ -24,7 +25,7 @@ from coordlog.smooth.paper import paper
 from coordlog.smooth.problem import Candidate, Problem
 from coordlog.smooth.result import KEPT_RAW, PARTLY, RAW_INFEASIBLE, SMOOTHED, Result, Violation
 from coordlog.smooth.shared import shared
-from coordlog.smooth.spline import Grid, Spline
+from coordlog.smooth.spline import Spline
 
 _METHODS = {"local": local, "shared": shared, "paper": paper}
 
@@ -100,7 +101,7 @@ def _end_slopes(config: Config, knots: Knots, given: ArrayLike | None) -> Floats
 
 
 def _problem(knots: Knots, checker: Checker, limits: Limits, velocity: Floats | None, config: Config) -> Problem:
-    grid = Grid(knots.time, clamped=velocity is not None)
+    grid = grid_for(knots.time, config)
     raw = grid.fit(knots.position, lam=0.0, weight=knots.weight, velocity=velocity)
     return Problem(knots, raw, grid, velocity, Judge(checker, knots, raw, limits=limits, config=config), config)
 

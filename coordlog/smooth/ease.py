@@ -1,0 +1,49 @@
+"""Soft ends: a path that starts and stops without a jump in its acceleration.
+
+A cubic at rest at its ends still starts with an acceleration out of nothing, which is most of the jerk of a path that is smooth
+otherwise. So the fit runs over a time s that is slow at both ends, ds/dt = √(u (2 - u)) with u the share of the ease that has passed,
+and runs with the clock in between. At an end the fit goes as s², and s as t^(3/2): the path goes as t³. The samples stay as they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coordlog.smooth.arrays import Floats
+from coordlog.smooth.config import Config
+from coordlog.smooth.spline import Grid, Spline
+
+LONGEST = 50
+"""Knots over which an end is eased, at most; half the path if that is shorter."""
+
+
+def grid_for(time: Floats, config: Config) -> Grid:
+    """The grid that fits over these knots (n,) [s], with the ends that the options ask for."""
+    return EasedGrid(time) if config.ends == "soft" else Grid(time, clamped=config.clamped)
+
+
+class EasedGrid(Grid):
+    """Fits at rest at both ends, with no acceleration there; λ is that of the stretch between the eased ends."""
+
+    def __init__(self, time: Floats) -> None:
+        """Prepare fits over `time` [s], shape (n,), n ≥ 2, strictly increasing."""
+        span, left = float(time[-1] - time[0]), time - time[0]
+        ease = min(span / 2.0, LONGEST * float(np.median(np.diff(time))))
+        u = np.clip(np.minimum(left, span - left) / ease, 0.0, 1.0)
+        # The integral of √(v (2 - v)) from 0 to u, π/4 at u = 1; beyond it the two times run alike.
+        passed = ease * (0.5 * (u - 1.0) * np.sqrt(u * (2.0 - u)) + 0.5 * np.arcsin(u - 1.0) + np.pi / 4.0)
+        whole = ease * np.pi / 2.0 + span - 2.0 * ease
+        middle = ease * np.pi / 4.0 + left - ease
+        slow = np.where(left < ease, passed, np.where(span - left < ease, whole - passed, middle))
+        super().__init__(slow, clamped=True)
+        self._clock, self._rate = time, np.sqrt(u * (2.0 - u))[:, None]
+
+    def fit(self, value: Floats, *, lam: float, weight: Floats, velocity: Floats | None = None) -> Spline:
+        """As `Grid.fit`; slopes given for the ends must be zero."""
+        found = super().fit(value, lam=lam, weight=weight, velocity=velocity)
+        return Spline(self._clock, found.position, found.velocity * self._rate)
+
+    def fit_each(self, value: Floats, *, lam: Floats, weight: Floats, velocity: Floats | None = None) -> Spline:
+        """As `Grid.fit_each`."""
+        found = super().fit_each(value, lam=lam, weight=weight, velocity=velocity)
+        return Spline(self._clock, found.position, found.velocity)
