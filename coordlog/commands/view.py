@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -102,11 +103,10 @@ def _show(path: Path) -> Show:
 def _recording(shows: list[Show], *, ghosts: bool) -> Any:
     from coordlog.view.recording import to_rerun
 
-    names = [show.name for show in shows]
-    if len(set(names)) < len(names):  # a smoothed file has the name of its raw one, in another folder
-        from dataclasses import replace
-
-        shows = [replace(show, name=f"{show.name}-{Path(show.file).parent.name or 'here'}-{i}") for i, show in enumerate(shows)]
+    if len({show.name for show in shows}) < len(shows):  # a smoothed file has the name of its raw one, in another folder
+        shows = [replace(show, name=f"{show.name}-{Path(show.file).resolve().parent.name}") for show in shows]
+    if len({show.name for show in shows}) < len(shows):
+        shows = [replace(show, name=f"{show.name}-{i}") for i, show in enumerate(shows, 1)]
     return to_rerun(shows, ghosts=ghosts)
 
 
