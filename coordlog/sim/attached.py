@@ -10,6 +10,7 @@ import mujoco
 import zstandard
 
 from coordlog.errors import FormatError
+from coordlog.sim.physics import silence
 
 MAX_BYTES = 64 << 20
 """A model's text or MJB may expand to this much; ours need 30 kB."""
@@ -32,6 +33,7 @@ def load_model(xml: bytes | None, mjb: bytes | None) -> mujoco.MjModel:
         FormatError: if there is neither, if one is damaged or larger than MAX_BYTES, if the text asks for other files, or if MuJoCo
             refuses it.
     """
+    silence()
     if xml is None and mjb is None:
         raise FormatError("no model attached: expected the scene as MJCF text or MJB in the file; record it again")
     try:

@@ -77,3 +77,11 @@ def test_damage_and_absence_are_said(monkeypatch):
     monkeypatch.setattr(attached, "MAX_BYTES", 1 << 20)
     with pytest.raises(FormatError, match="more than 1 MiB"):
         load_model(packed(b"\0" * (2 << 20)), None)
+
+
+def test_a_damaged_model_leaves_nothing_on_the_console_or_in_the_folder(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FormatError):
+        load_model(None, zstandard.compress(b"no model at all"))
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")

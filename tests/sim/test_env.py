@@ -108,6 +108,14 @@ def test_a_joint_moves_at_its_speed_and_stops_at_its_limit():
     assert min(angles) >= np.radians(-148) - 0.02
 
 
+def test_a_joint_leaves_its_limit_as_soon_as_it_is_told_to():
+    env = started(config=EnvConfig(max_steps=1000, smoothing=0.0))
+    place, one = env.task.qpos_index[env.scene.robot.action_joints.index("l_elbow_y")], np.zeros(1, dtype=int)
+    for value in [-1.0] * 120 + [1.0] * 8:  # far longer than the limit is away, then back
+        env.step(joint(env, "l_elbow_y", value).astype(np.float32)[None], one)
+    assert env.physics.qpos[0, place] > np.radians(-148) + 0.15
+
+
 def test_the_spine_is_slower_than_the_arms_and_a_command_builds_up():
     env = started()
     config, target = env.task.config, env.simulation._target
