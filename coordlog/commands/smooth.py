@@ -42,7 +42,7 @@ def smooth(
     Every usable input gives one output of the same name: the execution, with knots and spline, where it is proven and no worse than
     the log; otherwise the log's own steps and the reason. The logs are never touched. Outputs that are there are not made again.
 
-    Exit code 3 if an episode was kept raw or an input could not be used; each is named.
+    Exit code 3 if an episode kept its own steps or an input could not be used; each is named.
 
     Examples:
 
@@ -78,7 +78,7 @@ def smooth(
     if interrupted:
         terminal.note(f"interrupted after {len(rows)} of {len(work)} episodes; the same command goes on where it stopped")
         raise typer.Exit(EXIT_INTERRUPTED)
-    if parts or any(row["status"] in ("kept_raw", SKIPPED) for row in rows):
+    if parts or any(row["status"] == SKIPPED or row["parameters"]["steps_of"] == "log" for row in rows):
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -116,11 +116,7 @@ def _plan(paths: Sequence[Path], out: Path, settings: Json, *, write: bool, forc
 
 def _summary(rows: list[Json], settings: Json, *, wanted: int, seconds: float) -> Json:
     """Counts, medians of the ratios after/before over what was executed, and every row."""
-    done = [
-        row["parameters"]
-        for row in rows
-        if row["status"] in ("smoothed", "partly", "raw_infeasible") and row["parameters"]["torque"]["after"]
-    ]
+    done = [row["parameters"] for row in rows if row["parameters"].get("steps_of") == "execution"]
     counts = Counter(row["status"] for row in rows)
     return {
         "settings": settings,

@@ -169,6 +169,7 @@ def _parameters(raw: Episode, result: Result, execution: Execution, settings: Js
         "settings": settings,
         "status": execution.status,
         "reason": execution.reason,
+        "steps_of": "log" if ran is None else "execution",
         "certified": bool(result.certified) and ran is not None,
         "violation": None if violation is None else {name: _number(value) for name, value in violation._asdict().items()},
         "joints": [{"name": name, "p": p, "lam": lam, "cutoff_hz": _number(hz)} for name, p, lam, hz in rows],
