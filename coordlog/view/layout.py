@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -12,6 +13,7 @@ from coordlog.view.camera import Camera
 from coordlog.view.show import TIMELINE, Stage
 from coordlog.view.text import title, verdict
 
+Play = Literal["playing", "paused", "following"]
 MARGIN = 0.15
 """Joint plots show this much more than the motion [rad]."""
 
@@ -37,10 +39,10 @@ def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
     return rrb.Blueprint(panels, *panes(), auto_layout=False, auto_views=False)
 
 
-def panes(*, timeline: str = TIMELINE, playing: bool = True) -> list[rrb.BlueprintPart]:
-    """The viewer's own panes: only the time line is shown, and runs."""
+def panes(*, timeline: str = TIMELINE, play: Play = "playing") -> list[rrb.BlueprintPart]:
+    """The viewer's own panes: only the time line is shown."""
     return [
-        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="playing" if playing else "paused", loop_mode="all"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state=play, loop_mode="all" if play == "playing" else "off"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.TopPanel(state="hidden"),

@@ -17,7 +17,7 @@ from coordlog.view.outcome import KINDS, Outcome, about_all, about_one
 from coordlog.view.overview_layout import TIMELINE, overview_layout
 from coordlog.view.plots import lines
 from coordlog.view.recording import MARKDOWN, new_stream
-from coordlog.view.scene import draw_still
+from coordlog.view.scene import draw_start
 from coordlog.view.show import Show, Stage
 
 WINDOW = 50
@@ -49,7 +49,7 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
     stream = new_stream(f"{len(outcomes)} episodes")
     stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if stage is not None:
-        draw_still(stream, stage)
+        draw_start(stream, stage)
     draw_paths(stream, outcomes)
     draw_cursor(stream, outcomes)
     plot_rates(stream, outcomes)
@@ -100,7 +100,7 @@ def plot_rates(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
     stream.log("/lane/collision", look, static=True)
     stream.send_columns("/lane/collision", [time], rr.StateChange.columns(state=np.where(touched, "collision", "no").tolist()))
     succeeded = np.array([outcome.kind in ("clean success", "success with collision") for outcome in outcomes])
-    rates = np.stack([_running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
+    rates = np.stack([running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
     names, colours = ["clean success", "success", "collision"], [palette.GOOD, palette.FAIR, palette.BAD]
     lines(stream, "/rate", time, rates, names=names, colours=colours, width=2.0)
     worst = np.array([outcome.worst for outcome in outcomes])
@@ -133,7 +133,7 @@ def _numbers(outcomes: Sequence[Outcome]) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, sequence=np.arange(len(outcomes)))
 
 
-def _running(flags: Array) -> Array:
+def running(flags: Array) -> Array:
     """Mean of the last WINDOW values, (n,)."""
     total = np.concatenate([[0.0], np.cumsum(flags, dtype=float)])
     last = np.arange(1, len(flags) + 1)

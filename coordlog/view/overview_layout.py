@@ -26,4 +26,4 @@ def overview_layout(points: Array) -> rrb.Blueprint:
     left = rrb.Vertical(scene, rrb.Horizontal(lanes, rates), row_shares=[7, 3])
     right = rrb.Vertical(words, cursor, errors, row_shares=[5, 3, 3])
     panels = rrb.Horizontal(left, right, column_shares=[3, 2])
-    return rrb.Blueprint(panels, *panes(timeline=TIMELINE, playing=False), auto_layout=False, auto_views=False)
+    return rrb.Blueprint(panels, *panes(timeline=TIMELINE, play="paused"), auto_layout=False, auto_views=False)

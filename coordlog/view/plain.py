@@ -32,7 +32,7 @@ def plain_blueprint(arms: Sequence[str]) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin="/", contents=list(rewards), overrides=rewards, name="reward per step"),
     )
     panels = rrb.Horizontal(left, right, column_shares=[3, 2])
-    return rrb.Blueprint(panels, *panes(timeline=TIMELINE, playing=False), auto_layout=False, auto_views=False)
+    return rrb.Blueprint(panels, *panes(timeline=TIMELINE, play="paused"), auto_layout=False, auto_views=False)
 
 
 def foxglove_layout(arms: Sequence[str], joints: Sequence[str], shown: Collection[str]) -> Json:

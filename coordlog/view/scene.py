@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -14,6 +15,7 @@ from coordlog.view.camera import hides
 from coordlog.view.show import Stage
 from coordlog.view.solids import ARCHETYPES, floor, poses, solids
 
+When = Literal["always", "start", "end"]
 GHOST = 0.35
 """Opacity of a ghost's robot."""
 SEE_THROUGH = 0.2
@@ -34,39 +36,52 @@ def draw(stream: rr.RecordingStream, stage: Stage, eye: Array) -> None:
 
 def draw_solids(stream: rr.RecordingStream, stage: Stage, eye: Array) -> None:
     """Log every shape of the model; only the robot's move."""
-    shown = [stage.geometry.of_place("robot")]
+    draw_shapes(stream, stage, "robot", when="always", opacity=lambda _: GHOST if stage.ghost else 1.0)
     if not stage.ghost:
-        shown += [stage.geometry.of_place(place) for place in ("world", "obstacle", "object")]
         draw_floor(stream, stage)
-    for geoms in shown:
-        opacity = {geom.index: GHOST if stage.ghost else SEE_THROUGH if hides(geom, stage, eye) else 1.0 for geom in geoms}
-        draw_shapes(stream, stage, geoms, opacity, moving=geoms is shown[0])
+        for place in ("world", "obstacle", "object"):
+            draw_shapes(stream, stage, place, when="start", opacity=lambda geom: SEE_THROUGH if hides(geom, stage, eye) else 1.0)
 
 
-def draw_still(stream: rr.RecordingStream, stage: Stage) -> None:
+def draw_start(stream: rr.RecordingStream, stage: Stage) -> None:
     """Log robot and panels as they are at the start, for good: what the paths of many episodes are drawn around."""
     draw_floor(stream, stage)
     for place in ("robot", "world"):
-        geoms = stage.geometry.of_place(place)
-        draw_shapes(stream, stage, geoms, dict.fromkeys((geom.index for geom in geoms), GHOST), moving=False)
+        draw_shapes(stream, stage, place, when="start", opacity=lambda _: GHOST)
 
 
-def draw_shapes(stream: rr.RecordingStream, stage: Stage, geoms: list[Geom], opacity: Mapping[int, float], *, moving: bool) -> None:
-    """Log shapes of one place, an entity for each kind; `opacity` is by geom id."""
+def draw_end(stream: rr.RecordingStream, stage: Stage, eye: Array) -> None:
+    """Log robot, surroundings and goals as they are at the end, at the stream's present time."""
+    draw_floor(stream, stage)
+    for place in ("robot", "world", "obstacle", "object"):
+        draw_shapes(stream, stage, place, when="end", opacity=lambda geom: SEE_THROUGH if hides(geom, stage, eye) else 1.0)
+    draw_goals(stream, stage, static=False)
+
+
+def draw_shapes(stream: rr.RecordingStream, stage: Stage, place: str, *, when: When, opacity: Callable[[Geom], float]) -> None:
+    """Log the shapes of one place, an entity for each kind.
+
+    Args:
+        stream: The recording.
+        stage: The show.
+        place: Which shapes (`Geom.place`).
+        when: Their poses "always", on the show's time axis; at the "start", for good; or at the "end", at the stream's present time.
+        opacity: Of each.
+    """
     motion = stage.motion
     for kind, archetype in ARCHETYPES.items():
-        same = [geom for geom in geoms if geom.kind == kind]
-        if not same:
+        geoms = [geom for geom in stage.geometry.of_place(place) if geom.kind == kind]
+        if not geoms:
             continue
-        entity, index = stage.entity("world", same[0].place, kind), [geom.index for geom in same]
-        shape = solids(kind, same, [palette.rgba(geom.colour, alpha=opacity[geom.index]) for geom in same])
-        rows = len(motion.position) if moving else 1
-        pose = poses(kind, same, motion.position[:rows, index], motion.quaternion[:rows, index])
-        if moving:
+        entity, index = stage.entity("world", place, kind), [geom.index for geom in geoms]
+        shape = solids(kind, geoms, [palette.rgba(geom.colour, alpha=opacity(geom)) for geom in geoms])
+        rows = {"always": slice(None), "start": slice(0, 1), "end": slice(-1, None)}[when]
+        pose = poses(kind, geoms, motion.position[rows, index], motion.quaternion[rows, index])
+        if when == "always":
             stream.log(entity, shape, static=True)
-            stream.send_columns(entity, [stage.states], archetype.columns(**pose).partition(np.full(rows, len(same))))
+            stream.send_columns(entity, [stage.states], archetype.columns(**pose).partition(np.full(len(motion.position), len(geoms))))
         else:
-            stream.log(entity, shape, archetype.from_fields(**pose), static=True)
+            stream.log(entity, shape, archetype.from_fields(**pose), static=when == "start")
 
 
 def draw_floor(stream: rr.RecordingStream, stage: Stage) -> None:
@@ -75,14 +90,14 @@ def draw_floor(stream: rr.RecordingStream, stage: Stage) -> None:
         stream.log(stage.entity("world", "floor"), floor(np.array(stage.robot.centre[:2])), static=True)
 
 
-def draw_goals(stream: rr.RecordingStream, stage: Stage) -> None:
+def draw_goals(stream: rr.RecordingStream, stage: Stage, *, static: bool = True) -> None:
     """Log the palm targets as wire spheres of the goal radius, in their arms' colours."""
     goals = np.array(stage.episode.header.episode["goals"])
     radius = float(stage.episode.header.env["config"]["goal_radius"])
     colours = [palette.cycle(palette.ARMS, i) for i in range(len(goals))]
     shape = rr.Ellipsoids3D(half_sizes=np.full((len(goals), 3), radius), centers=goals, colors=colours, fill_mode="majorwireframe")
-    stream.log(stage.entity("world", "goal", "tolerance"), shape, static=True)
-    stream.log(stage.entity("world", "goal", "centre"), rr.Points3D(goals, radii=0.006, colors=colours), static=True)
+    stream.log(stage.entity("world", "goal", "tolerance"), shape, static=static)
+    stream.log(stage.entity("world", "goal", "centre"), rr.Points3D(goals, radii=0.006, colors=colours), static=static)
 
 
 def draw_hands(stream: rr.RecordingStream, stage: Stage) -> None:

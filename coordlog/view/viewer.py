@@ -225,11 +225,20 @@ def open_window(rrds: Sequence[Path], *, port: int = 0) -> None:
     Raises:
         ViewerError: without a display, or if the viewer does not start.
     """
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError(NO_DISPLAY)
+    require_display()
     with Viewer(*(str(rrd.resolve()) for rrd in rrds), port=port) as viewer:
         if viewer.process.wait() != 0:
             raise viewer.failure()
+
+
+def require_display() -> None:
+    """Refuse to open a window where there is none to open.
+
+    Raises:
+        ViewerError: without a display.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(NO_DISPLAY)
 
 
 def claim(port: int) -> int:

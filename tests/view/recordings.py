@@ -111,13 +111,10 @@ def simulated_palms(show):
     return np.array(palms)
 
 
-class Recording:
+class ReadBack:
     """An .rrd read back: components by entity, static ones and those on a timeline."""
 
-    def __init__(self, stream, path):
-        stream.save(path)
-        stream.flush()
-        stream.disconnect()
+    def __init__(self, path):
         self.path, self.reader = path, rr.chunk.RrdReader(str(path))
         self._batches = {}
         for chunk in self.reader.stream().to_chunks():
@@ -137,3 +134,13 @@ class Recording:
         """Times of those rows, in the timeline's integers (ns for durations)."""
         found = [batch[timeline] for batch in self._batches[entity] if component in batch.schema.names]
         return np.concatenate([np.asarray(column.cast("int64")) for column in found])
+
+
+class Recording(ReadBack):
+    """A recording that is written to a file, and read back."""
+
+    def __init__(self, stream, path):
+        stream.save(path)
+        stream.flush()
+        stream.disconnect()
+        super().__init__(path)

@@ -9,7 +9,7 @@ from recordings import Recording, simulated_palms
 
 from coordlog.errors import ConfigError
 from coordlog.view.outcome import KINDS, kind
-from coordlog.view.overview import to_overview
+from coordlog.view.overview import WINDOW, running, to_overview
 
 
 @pytest.fixture
@@ -74,6 +74,14 @@ def test_robots_and_scenes_may_be_mixed_and_need_no_model(shows, tmp_path):
     recording = Recording(to_overview(mixed), tmp_path / "a.rrd")
     assert {f"/world/paths/{name}" for name in ("planar", "table", "free")} <= {entity.rsplit("/", 1)[0] for entity in recording.entities}
     assert not any(entity.startswith("/world/start") for entity in recording.entities)
+
+
+def test_rates_are_means_of_the_last_episodes_only():
+    flags = np.arange(3 * WINDOW) >= WINDOW
+    rate = running(flags)
+    assert_allclose(rate[: WINDOW + 1], np.append(np.zeros(WINDOW), 1 / WINDOW))
+    assert_allclose(rate[2 * WINDOW - 1 :], 1.0)
+    assert running(np.array([True]))[0] == 1.0
 
 
 def test_no_episodes_is_an_error():

@@ -92,6 +92,17 @@ def test_panels_stand_where_the_model_has_them(shows, scene, panels, tmp_path):
     assert_allclose(recording.column("/world/world/box", "Boxes3D:half_sizes")[0], model.geom_size[ids], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("scene", "clear"), [("table", {"table"}), ("shelf", {"shelf_left"})])
+def test_panels_in_front_of_the_goals_are_see_through(shows, scene, clear, tmp_path):
+    recording = Recording(to_rerun([shows[scene]]), tmp_path / "a.rrd")
+    model, _ = next(simulated(shows[scene]))
+    names = [model.geom(i).name for i in geoms(model, "box", robot=False) if model.geom_bodyid[i] == 0]
+    alpha = recording.column("/world/world/box", "Boxes3D:colors")[0] & 255
+    assert clear <= {name for name, a in zip(names, alpha, strict=True) if a == 255}
+    if scene == "shelf":
+        assert {"shelf_back", "shelf_top"} <= {name for name, a in zip(names, alpha, strict=True) if a < 128}
+
+
 def test_object_goals_and_spheres_are_those_of_the_episode(shows, tmp_path):
     show = shows["spheres"]
     recording = Recording(to_rerun([show]), tmp_path / "a.rrd")
