@@ -189,7 +189,7 @@ def measure(bench, *, with_peers, with_plain, note):
             "certified": result.certified,
             "checks": result.checks + result.slacks,
         }
-    like = results["local"]
+    like = results["local, 5 mm"]
     scene = peers.PlainScene(
         log.model, bench.data, episode.qpos, bench.task.qpos_index, bench.task.limits, pairs=bench.checker.pairs, balanced=balanced(bench)
     )
