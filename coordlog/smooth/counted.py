@@ -56,16 +56,11 @@ class Counted:
 
     def worst(self, time: Floats, q: Floats, clearance: float) -> Breaches:
         """Ask `check`; the worst pair of each configuration that is not free."""
-        free, depth, what = self.check(time, q, clearance)
-        return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])
+        return _refused(time, self.check(time, q, clearance))
 
     def every(self, time: Floats, q: Floats, clearance: float) -> Breaches:
         """Every pair that falls short, if the checker can tell; otherwise the worst of each configuration."""
-        if not self.measures:
-            return self.worst(time, q, clearance)
-        slack = self.slack(time, q, clearance)
-        row, pair = np.nonzero(~(slack >= 0.0))
-        return breaches(Kind.CONTACT, time[row], -slack[row, pair], pair)
+        return _short(time, self.slack(time, q, clearance)) if self.measures else self.worst(time, q, clearance)
 
     def try_on(self, time: Floats, q: Floats, clearance: float) -> Breaches:
         """Ask as `every`, and look at the shapes of all answers before they are relied on.
@@ -78,12 +73,23 @@ class Counted:
         if any(np.shape(part) != (n,) for part in verdict):
             raise SpecError(f"checker.check: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
         if not self.measures:
-            return breaches(Kind.CONTACT, time[~verdict.free], verdict.depth[~verdict.free], verdict.what[~verdict.free])
-        slack, reach = np.shape(self.slack(time, q, clearance)), np.shape(self.reach)
-        if len(reach) != 2 or reach[1] != n_j or slack != (n, reach[0]):
-            raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {slack} and {reach}")
-        return self.every(time, q, clearance)
+            return _refused(time, verdict)
+        slack = self.slack(time, q, clearance)
+        got, reach = np.shape(slack), np.shape(self.reach)
+        if len(reach) != 2 or reach[1] != n_j or got != (n, reach[0]):
+            raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {got} and {reach}")
+        return _short(time, slack)
 
     def _stop(self) -> None:
         if self.budget is not None and self.checks + self.slacks > self.budget:
             raise BudgetSpentError
+
+
+def _refused(time: Floats, verdict: Verdict) -> Breaches:
+    free, depth, what = verdict
+    return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])
+
+
+def _short(time: Floats, slack: Floats) -> Breaches:
+    row, pair = np.nonzero(~(slack >= 0.0))  # a NaN is short
+    return breaches(Kind.CONTACT, time[row], -slack[row, pair], pair)

