@@ -28,10 +28,10 @@ BINARY = Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win3
 SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
-STILL_SECONDS = 2.0
-"""A picture is good once nothing has changed for so long: plots glide into place, and the viewer's own notices fade."""
-PATIENCE = 20.0
-"""It is taken anyway after this long [s]."""
+FRAMES = 5
+"""Pictures asked for before one is taken: the viewer's own notices at its start fade over the first three it paints."""
+PATIENCE = 60.0
+"""A picture is taken after this long [s] even if something in it still moves."""
 NO_VULKAN = (
     "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install mesa-vulkan-drivers), "
     "or use --save FILE and open it on another machine"
@@ -177,14 +177,11 @@ class Headless(Viewer):
         """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
         views = self._client.get_state().views
         place = next(view.view_id for view in views if view.view_class == kind) if kind else None
-        began = still = time.monotonic()
-        picture = bytes(self._client.take_screenshot(place))
-        while time.monotonic() < min(still + STILL_SECONDS, began + PATIENCE):
+        deadline, pictures = time.monotonic() + PATIENCE, [b"", bytes(self._client.take_screenshot(place))]
+        while (len(pictures) <= FRAMES or pictures[-1] != pictures[-2]) and time.monotonic() < deadline:
             time.sleep(0.1)
-            now = bytes(self._client.take_screenshot(place))
-            if now != picture:
-                picture, still = now, time.monotonic()
-        return picture
+            pictures.append(bytes(self._client.take_screenshot(place)))
+        return pictures[-1]
 
     def views(self) -> list[str]:
         """Names of all views."""
