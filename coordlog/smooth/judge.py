@@ -6,13 +6,13 @@ between them, and the certificate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from coordlog.errors import ConfigError
-from coordlog.smooth.arrays import Floats, Ints
+from coordlog.smooth.arrays import Bools, Floats, Ints
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.certificate import certify
 from coordlog.smooth.config import Config
@@ -80,8 +80,7 @@ class Judge:
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
             excused = excused + look
-        between, certified = self._between(spline, excused)
-        return Proof(between, excused, certified)
+        return self._between(spline, excused, lambda found: self.raw.excuses(found, lenient=lenient))
 
     def _every(self, spline: Spline, time: Floats) -> Breaches:
         return self.asked.every(time, spline(time), self._config.clearance)
@@ -98,18 +97,25 @@ class Judge:
         found = self.raw.ends
         for look in self._looks(spline, None):
             found = found + look
-        between, certified = self._between(spline, found)
-        return Proof(found + between, NONE, certified)
+        proof = self._between(spline, found, lambda found: found.kind == Kind.CONTACT)
+        return Proof(proof.excused + proof.found, NONE, proof.certified)
 
-    def _between(self, spline: Spline, found: Breaches) -> tuple[Breaches, bool]:
-        """Breaches between samples, and whether there are proven to be none; pairs found too close need only not touch."""
-        close = np.unique(found.what[found.kind == Kind.CONTACT])
-        if not self._config.certify or (len(close) and self.collides(spline, found)):
-            return NONE, False
-        allowed = np.zeros(len(self.asked.reach))
-        allowed[close] = self._config.clearance
-        between = certify(spline, self.asked, self._config.clearance, allowed=allowed)
-        return between, not len(between)
+    def _between(self, spline: Spline, known: Breaches, excuses: Callable[[Breaches], Bools]) -> Proof:
+        """Certify a path of which these breaches are known; pairs known to be too close need only not touch."""
+        while self._config.certify:
+            close = np.unique(known.what[known.kind == Kind.CONTACT])
+            if len(close) and self.collides(spline, known):
+                break
+            allowed = np.zeros(len(self.asked.reach))
+            allowed[close] = self._config.clearance
+            found = certify(spline, self.asked, self._config.clearance, allowed=allowed)
+            excuse = excuses(found)
+            if not excuse.all():
+                return Proof(found[~excuse], known, certified=False)
+            if not len(found):
+                return Proof(NONE, known, certified=True)
+            known = known + found  # another pair each time, or a collision: this ends
+        return Proof(NONE, known, certified=False)
 
     def _looks(self, spline: Spline, hot: Ints | None) -> Iterator[Breaches]:
         """Look after look, each at something new."""

@@ -162,7 +162,7 @@ class Walls(Ceiling):
         return self.height - q - clearance
 
     def describe(self, what):
-        return ("left wall", "right wall")[what]
+        return ("left wall", "right wall", "lid")[what]
 
 
 def rise(noise=0.003):
@@ -222,6 +222,26 @@ def test_other_pairs_keep_their_clearance_between_samples():
     result = smooth(time, q, Spike(None), clearance=0.05, cutoff=0.01)
     assert (result.status, result.certified) == ("partly", True)
     assert result.spline(1.005)[1] <= 0.08 - 0.04 - 0.05
+
+
+def test_pairs_that_are_merely_close_do_not_hide_a_collision_of_the_log():
+    time = np.linspace(0.0, 2.0, 101)
+    q = np.ones((101, 2)) + 0.001 * np.random.default_rng(0).normal(size=(101, 2))
+    q[[0, -1]] = 1.0
+
+    class Three(Walls):  # two are 3 and 2 cm away throughout; the third comes out to touch for 4 ms between two samples
+        reach = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+
+        def slack(self, when, angles, clearance):
+            spike = 0.1 * np.maximum(0.0, 1.0 - abs(when - 1.005) / 0.002)
+            return np.stack([1.02 - angles[:, 0], 1.03 - angles[:, 0], 1.08 - spike - angles[:, 1]], axis=1) - clearance
+
+        def drift(self, start, stop):
+            return np.where((stop > 1.003) & (start < 1.007), 50.0, 0.0)[:, None] * np.ones(3)
+
+    result = smooth(time, q, Three(None), clearance=0.05)
+    assert (result.status, result.certified) == ("raw_infeasible", False)
+    assert result.violation.what == "lid"
 
 
 def test_an_end_point_alone_may_lack_clearance():
