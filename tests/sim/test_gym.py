@@ -106,6 +106,7 @@ def test_hindsight_reaches_its_goal_unless_something_was_touched(env):
     assert not info["collision"]
     assert env.compute_reward(palms, palms, info) == RewardConfig().kappa
     assert env.compute_terminated(palms, palms, info)
+    assert not env.compute_truncated(palms, palms, {**info, "step": EnvConfig().max_steps})  # it ended by itself
     assert env.compute_reward(palms, palms, {**info, "collision": True}) < 1.0
     assert env.compute_reward(palms, palms, {**info, "instability": True}) < 0.0
 
@@ -172,6 +173,14 @@ def test_bad_actions_are_refused(env):
         env.step(np.zeros(12, dtype=np.float32))
     with pytest.raises(SpecError, match="nan"):
         env.step(np.full(13, np.nan, dtype=np.float32))
+
+
+def test_actions_beyond_the_range_are_clipped(env):
+    ends = []
+    for value in (1.0, 5.0):
+        env.reset(seed=0)
+        ends.append(env.step(np.full(13, value, dtype=np.float32))[0]["achieved_goal"].tobytes())
+    assert ends[0] == ends[1]
 
 
 def test_a_step_before_a_reset_is_refused():

@@ -88,6 +88,8 @@ def test_the_size_of_a_placed_sphere_counts(spheres):
     for radius, touches in ((0.03, False), (0.06, True), (0.03, False)):
         reach.place(np.vstack([np.append(ahead, radius), far]))
         assert reach.touches(angles) == touches
+    reach.place(np.vstack([np.append(ahead + np.array([0.09, 0, 0]), 0.15), far]))  # larger than any the scene draws
+    assert reach.touches(angles)
 
 
 def test_leaning_far_back_is_not_legal(table):

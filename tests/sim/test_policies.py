@@ -99,12 +99,23 @@ def test_random_actions_are_correlated_in_time_and_clipped():
     assert inner == pytest.approx(CORRELATION, abs=0.05)
 
 
-def test_noise_around_a_policy_leaves_the_policys_own_randomness_alone():
-    class Recorder(Still):
-        def begin(self, ids, state, rngs):
-            self.drawn = [rng.standard_normal() for rng in rngs]
+def test_noise_around_a_policy_and_the_policy_have_generators_of_their_own():
+    class Greedy(Still):
+        def __init__(self, n_u, draws):
+            super().__init__(n_u)
+            self.draws = draws
 
-    quiet, loud = Recorder(5), Recorder(5)
-    Noisy(quiet, N, 5, sigma=0.0).begin(np.arange(N), np.zeros((N, 1)), [np.random.default_rng(i) for i in range(N)])
-    Noisy(loud, N, 5, sigma=9.0).begin(np.arange(N), np.zeros((N, 1)), [np.random.default_rng(i) for i in range(N)])
-    assert quiet.drawn == loud.drawn
+        def begin(self, ids, state, rngs):
+            self.drawn = [rng.standard_normal(self.draws).tolist() for rng in rngs]
+
+    acted, drawn = [], []
+    for draws, sigma in ((1, 0.1), (7, 0.1), (7, 0.2)):
+        greedy = Greedy(5, draws)
+        policy = Noisy(greedy, N, 5, sigma=sigma)
+        policy.begin(np.arange(N), np.zeros((N, 1)), [np.random.default_rng(i) for i in range(N)])
+        acted.append(policy.act(np.arange(N), np.zeros((N, 1))))
+        drawn.append([values[0] for values in greedy.drawn])
+    assert acted[0].tobytes() == acted[1].tobytes()  # the noise does not care what the policy draws
+    assert acted[2] == pytest.approx(2 * acted[1], rel=1e-6)
+    assert drawn[0] == drawn[1] == drawn[2]  # nor the other way round
+    assert not np.isclose(acted[0][:, 0] / 0.1, drawn[0]).any()

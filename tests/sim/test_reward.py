@@ -135,8 +135,8 @@ def test_the_bounds_in_the_doubts_are_discounted_sums():
     assert enough.doubts(gamma=gamma, steps=steps, farthest=farthest) == []
     short = RewardConfig(kappa=enough.kappa - 1e-6, n2=enough.n2 - 1e-6)
     assert len(short.doubts(gamma=gamma, steps=steps, farthest=farthest)) == 2
-    undiscounted = RewardConfig(kappa=0.4 * 20 + 1e-9, n2=1000)
-    assert undiscounted.doubts(gamma=1.0, steps=20) == []
+    assert RewardConfig(kappa=0.4 * 20 + 1e-9, n2=1000).doubts(gamma=1.0, steps=20) == []
+    assert len(RewardConfig(kappa=0.4 * 20 - 1e-6, n2=1000).doubts(gamma=1.0, steps=20)) == 1
 
 
 def test_a_negative_constant_is_refused():
