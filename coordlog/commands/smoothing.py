@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 TRANSFORM = "smooth"
 """The lineage's name for what is done here."""
 SKIPPED, DONE = "skipped", "done before"
-FASTER = 1.02
-"""A path may be as fast as the servo targets may move, or as the log's own interpolant, whichever is faster, and by this factor more."""
+FASTER = 1.25
+"""A path may be faster by this factor than the servo targets may move, or than the log's own interpolant: what the servos then lack for a
+moment they catch up with, and the execution decides."""
 
 
 class Job(NamedTuple):

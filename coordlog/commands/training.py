@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,8 @@ from rich.progress import Progress as Bar
 
 from coordlog.commands.environment import make_env
 from coordlog.record.cache import Logs
-from coordlog.record.recorder import Recorder
+from coordlog.record.reader import read_attachments, read_episode
+from coordlog.record.recorder import Finished, Recorder
 from coordlog.scoring import evaluate, figures
 from coordlog.train.bind import FARTHEST, task_of
 from coordlog.train.live import Simulations
@@ -24,6 +26,7 @@ from coordlog.train.task import Hooks
 if TYPE_CHECKING:
     from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
+    from coordlog.view.live import Live
 
 SEED = 0
 """Evaluations are on the problems of this seed and the split "test", which no training sees."""
@@ -39,7 +42,10 @@ def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
 class Judge:
     """Evaluates a policy on held-out problems; the episodes are recorded like any other."""
 
-    def __init__(self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, episodes: int) -> None:
+    def __init__(
+        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, episodes: int, window: Live | None = None
+    ) -> None:
+        self._window = window
         self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like)
         self._folder, self._episodes = folder, episodes
 
@@ -47,16 +53,43 @@ class Judge:
         """Figures of merit after so many updates; see `scoring.figures`."""
         said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
         folder = self._folder / "episodes" / f"eval-{updates:07d}"
-        with Recorder(self._env, folder, policy=said, display=False) as recorder:
+        done: list[Finished] = []
+        with Recorder(self._env, folder, policy=said, display=False, finished=done.append) as recorder:
             scores = evaluate(recorder, policy, episodes=self._episodes, k=self._env.layout.k, seed=SEED)
+        if self._window is not None:
+            from coordlog.view.show import Show
+
+            paths = [item.path for item in done]
+            self._window.evaluation(updates, [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths])
         return figures(scores)
+
+
+def require_window() -> None:
+    """Refuse to begin what is to be watched where nothing can be shown.
+
+    Raises:
+        ViewerError: without a display.
+    """
+    from coordlog.view.viewer import require_display
+
+    require_display()
+
+
+@contextmanager
+def watch(name: str) -> Iterator[Live]:
+    """A viewer's window in which a run is watched."""
+    from coordlog.view.live import Live
+    from coordlog.view.viewer import Viewer
+
+    with Viewer() as viewer, Live(name, url=viewer.url) as live:
+        yield live
 
 
 class Progress:
     """A bar over the budget, with the latest figures."""
 
-    def __init__(self, bar: Bar, scene: str, settings: Settings) -> None:
-        loop = settings.loop
+    def __init__(self, bar: Bar, scene: str, settings: Settings, window: Live | None = None) -> None:
+        loop, self._window = settings.loop, window
         self._bar, self._by_steps = bar, loop.updates == 0
         self._task = bar.add_task(f"training {scene}", total=loop.steps if self._by_steps else loop.updates, note="")
         self._note: dict[str, str] = {}
@@ -69,8 +102,19 @@ class Progress:
             rate = f"{float(row['updates_per_second'] or 0):.0f} updates/s"
             live = f", {float(row['steps_per_second'] or 0):,.0f} steps/s" if row["step"] else ""
             self._note["speed"] = rate + live
+        if self._window is not None:
+            self._window.figures(int(row["update"] or 0), curves(row))
         done = row["step"] if self._by_steps else row["update"]
         self._bar.update(self._task, completed=float(done or 0), note="  ".join(self._note.values()))
+
+
+def curves(row: Row) -> dict[str, float]:
+    """The points of a row of metrics, as "panel/curve"."""
+    if row["kind"] == "evaluation":
+        panels = {"held-out": ("success", "clean", "collisions", "falls"), "score": ("score",)}
+    else:
+        panels = {"loss": ("critic_loss", "behaviour"), "value": tuple(name for name in row if name.startswith(("q_", "value_")))}
+    return {f"{panel}/{name}": float(row[name] or 0) for panel, names in panels.items() for name in names if name in row}
 
 
 def assemble(
