@@ -36,9 +36,9 @@ class NetworkConfig:
     activation: Activation = "relu"
     """"relu", or "crelu" = [relu(x), relu(-x)]."""
     actor_norm: Norm = "none"
-    """Normalisation before the activation of every hidden layer of the actor."""
+    """Normalisation before activations: "batch" in every hidden layer, "layer" in all but the first, which must keep distances apart."""
     critic_norm: Norm = "layer"
-    """The same for the critic; "batch" only on the hidden layers that do not see the action, as in DDPG §3."""
+    """The same for the critic, "batch" only in the hidden layers that do not see the action, as in DDPG §3."""
     dropout: float = 0.0
     """Probability that a hidden unit is dropped; off when acting, in targets, and in the critic of the actor's step."""
     critics: int = 2

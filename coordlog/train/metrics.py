@@ -83,7 +83,7 @@ class Watch:
 
     bounds: tuple[float, float]
     """Least and greatest return any policy can have."""
-    slack: float = 0.25
+    slack: float = 1.0
     """Q may leave the bounds by this share of their distance: a network overshoots a little without diverging."""
     saturation: float = 0.95
     """More than this share of action entries at their limits is a saturated actor: its gradient through tanh is gone."""

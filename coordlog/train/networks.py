@@ -119,12 +119,22 @@ class Mlp(nn.Module):
         return self.output(h, training=training, count=count)  # type: ignore[no-any-return]
 
 
+def hidden_norms(norm: Norm, layers: int, *, free: int) -> tuple[Norm, ...]:
+    """The normalisation of each hidden layer.
+
+    "layer" is on all but the first, which would otherwise lose how far away a goal is and keep only in which direction; "batch" is on
+    the first `free` ones.
+    """
+    having = range(1, layers) if norm == "layer" else range(free)
+    return tuple(norm if index in having else "none" for index in range(layers))
+
+
 class Actor(nn.Module):
     """The compound policy μ: states (B, n_x) to actions (B, n_u) in [-1, 1]."""
 
     def __init__(self, n_x: int, n_u: int, *, config: NetworkConfig, generator: torch.Generator) -> None:
         super().__init__()
-        norms = (config.actor_norm,) * len(config.hidden)
+        norms = hidden_norms(config.actor_norm, len(config.hidden), free=len(config.hidden))
         self.mlp = Mlp(Shape(n_x, 0, n_u, 1), norms, config=config, generator=generator)
 
     def forward(self, state: Tensor, *, training: bool = False, generator: torch.Generator | None = None) -> Tensor:
@@ -148,8 +158,7 @@ class Critic(nn.Module):
     def __init__(self, n_x: int, n_u: int, k: int, *, config: NetworkConfig, generator: torch.Generator) -> None:
         super().__init__()
         self.late = config.action_layer == 2
-        blind = (index < config.action_layer - 1 for index in range(len(config.hidden)))
-        norms: tuple[Norm, ...] = tuple("none" if config.critic_norm == "batch" and not free else config.critic_norm for free in blind)
+        norms = hidden_norms(config.critic_norm, len(config.hidden), free=config.action_layer - 1)
         shape = Shape(n_x, n_u, k, config.critics) if self.late else Shape(n_x + n_u, 0, k, config.critics)
         self.mlp = Mlp(shape, norms, config=config, generator=generator)
 

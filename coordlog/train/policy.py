@@ -92,9 +92,9 @@ class Policy:
 
 
 def _forward(h: Array, layers: list[tuple[Array, Array]], crelu: bool, norm: bool) -> Array:
-    for weight, bias in layers[:-1]:
+    for index, (weight, bias) in enumerate(layers[:-1]):
         h = h @ weight + bias
-        if norm:
+        if norm and index > 0:
             h = h - h.mean(axis=1, keepdims=True)
             h = h / np.sqrt(np.square(h).mean(axis=1, keepdims=True) + NORM_EPSILON)
         h = np.concatenate((np.maximum(h, 0), np.maximum(-h, 0)), axis=1) if crelu else np.maximum(h, 0)

@@ -62,9 +62,9 @@ def test_one_value_that_is_not_finite_shows_at_once() -> None:
 @pytest.mark.parametrize(
     ("row", "name", "words"),
     [
-        ({"q_low": -10.0, "q_high": 12.0, "saturation": 0.5}, None, ""),
-        ({"q_low": -10.0, "q_high": 16.0}, "q_out_of_bounds", r"Q spans [-10, 16] but no return lies outside [-10, 10]"),
-        ({"q_low": -16.0, "q_high": 0.0}, "q_out_of_bounds", "learner.clip_targets = true"),
+        ({"q_low": -10.0, "q_high": 29.0, "saturation": 0.5}, None, ""),
+        ({"q_low": -10.0, "q_high": 31.0}, "q_out_of_bounds", r"Q spans [-10, 31] but no return lies outside [-10, 10]"),
+        ({"q_low": -31.0, "q_high": 0.0}, "q_out_of_bounds", "learner.clip_targets = true"),
         ({"q_low": 0.0, "q_high": 0.0, "saturation": 0.96}, "saturated", "96% of the actions are at their limits"),
         ({"critic_loss": math.inf}, "not_finite", "critic_loss not finite"),
         ({}, None, ""),

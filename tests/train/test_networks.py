@@ -31,8 +31,9 @@ def test_an_ensemble_is_its_members_evaluated_one_by_one() -> None:
     together = critic(state, action)
     for member in range(3):
         h = torch.cat((state, action), dim=1)
-        for layer in critic.mlp.layers:
-            h = F.relu(F.layer_norm(h @ layer.weight[member] + layer.bias[member, 0], (layer.weight.shape[2],)))
+        for index, layer in enumerate(critic.mlp.layers):
+            h = h @ layer.weight[member] + layer.bias[member, 0]
+            h = F.relu(F.layer_norm(h, (layer.weight.shape[2],)) if index > 0 else h)
         alone = h @ critic.mlp.output.weight[member] + critic.mlp.output.bias[member, 0]
         torch.testing.assert_close(together[member], alone)
     torch.testing.assert_close(critic(state, action, count=1), together[:1])
