@@ -27,6 +27,7 @@ from scipy.spatial import ConvexHull
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.episode import INITIAL_STATE, MODEL_XML
 from coordlog.record.dataset import find_files
 from coordlog.record.reader import read_attachments, read_episode
@@ -154,8 +155,9 @@ def separation(half_a, a, half_b, b):
 
 
 def limits_of(bench):
-    fastest = abs(np.diff(bench.q, axis=0)).max(axis=0) / bench.knots.unit
-    return Limits(bench.task.limits[:, 0], bench.task.limits[:, 1], speed=1.25 * np.maximum(bench.task.speeds, fastest))
+    """The limits that `coordlog smooth` sets."""
+    fastest = fastest_of(bench.time, bench.q)
+    return Limits(bench.task.limits[:, 0], bench.task.limits[:, 1], speed=FASTER * np.maximum(bench.task.speeds, fastest))
 
 
 def measure(bench, *, with_peers, with_plain, note):
@@ -269,6 +271,8 @@ def table(all_rows, rng, scenes):
     for name in OURS:
         for scene in sorted(set(scenes)):
             own = [each[name] for each, at in zip(all_rows, scenes, strict=True) if at == scene and name in each]
+            if not own:
+                continue
             counts = {status: sum(row["status"] == status for row in own) for status in sorted({row["status"] for row in own})}
             jerk, certified = np.median([row["jerk"] for row in own]), sum(row["certified"] for row in own)
             faults = {fault: sum(row["fault"] == fault for row in own) for fault in sorted({row["fault"] for row in own}) if fault}

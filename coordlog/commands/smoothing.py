@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 TRANSFORM = "smooth"
 """The lineage's name for what is done here."""
 SKIPPED, DONE = "skipped", "done before"
-FASTER = 1.25
-"""A path may be faster by this factor than the servo targets may move, or than the log's own interpolant: what the servos then lack for a
-moment they catch up with, and the execution decides."""
+FASTER = 1.02
+"""A path may be faster by this factor than the servo targets may move, or than the log's own interpolant, whichever is faster: what the
+servos then lack they catch up with."""
 
 
 class Job(NamedTuple):
@@ -109,7 +109,7 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     log = Log(episode.header, model, np.frombuffer(attachments[INITIAL_STATE]), episode.action)
     task = task_of(log)
     angles = episode.qpos[:, task.qpos_index]
-    fastest = _fastest(episode.time, angles)
+    fastest = fastest_of(episode.time, angles)
     limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
     ends = "auto" if settings["method"] == "paper" else "soft"
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
@@ -121,7 +121,7 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     return _episode(episode, result, execution, digest, parameters), parameters
 
 
-def _fastest(time: Array, angles: Array) -> Array:
+def fastest_of(time: Array, angles: Array) -> Array:
     """Largest speed of each joint along the interpolant of a log, at rest at both ends, (n_u,) [rad/s]."""
     import numpy as np
 

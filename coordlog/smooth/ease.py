@@ -13,8 +13,9 @@ from coordlog.smooth.arrays import Floats
 from coordlog.smooth.config import Config
 from coordlog.smooth.spline import Grid, Spline
 
-LONGEST = 50
-"""Knots over which an end is eased, at most; half the path if that is shorter."""
+LONGEST = 15
+"""Knots over which an end is eased, at most; half the path if that is shorter. A longer ease saves little more jerk and costs speed in
+the middle, which servos may not have."""
 
 
 def grid_for(time: Floats, config: Config) -> Grid:
