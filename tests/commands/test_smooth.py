@@ -56,7 +56,8 @@ def smoothed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 def test_every_input_gives_one_output_in_the_same_place(logs: Path, smoothed: tuple[Path, dict]) -> None:
     out, report = smoothed
     assert list(digests(out)) == list(digests(logs))
-    assert report["statuses"] == {"smoothed": 4}
+    assert set(report["statuses"]) <= {"smoothed", "partly"}, "partly: a log that comes closer than the clearance itself"
+    assert sum(report["statuses"].values()) == 4
     assert report["certified"] == 4
     assert report["median"]["jerk"] < 0.2
     assert not list(out.rglob("*.part"))
