@@ -109,9 +109,9 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     log = Log(episode.header, model, np.frombuffer(attachments[INITIAL_STATE]), episode.action)
     task = task_of(log)
     angles = episode.qpos[:, task.qpos_index]
-    fastest = fastest_of(episode.time, angles)
+    ends = "natural" if settings["method"] == "paper" else "soft"
+    fastest = fastest_of(episode.time, angles, ends=ends)
     limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
-    ends = "auto" if settings["method"] == "paper" else "soft"
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(
         episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, ends=ends, **settings
@@ -121,13 +121,17 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     return _episode(episode, result, execution, digest, parameters), parameters
 
 
-def fastest_of(time: Array, angles: Array) -> Array:
-    """Largest speed of each joint along the interpolant of a log, at rest at both ends, (n_u,) [rad/s]."""
+def fastest_of(time: Array, angles: Array, *, ends: str = "soft") -> Array:
+    """Largest speed of each joint along the interpolant of a log with these ends (`Config.ends`), (n_u,) [rad/s]."""
     import numpy as np
 
-    from coordlog.smooth.spline import fit
+    from coordlog.smooth.config import Config
+    from coordlog.smooth.ease import grid_for
 
-    through = fit(time, angles, lam=0.0, velocity=np.zeros((2, angles.shape[1])))
+    config, weight = Config(ends=ends), np.ones(len(time))
+    weight[[0, -1]] = np.inf
+    still = np.zeros((2, angles.shape[1])) if config.clamped else None
+    through = grid_for(time, config).fit(angles, lam=0.0, weight=weight, velocity=still)
     samples = np.linspace(time[0], time[-1], 8 * len(time))
     return np.asarray(np.abs(through(samples, 1)).max(axis=0))
 
