@@ -133,11 +133,7 @@ class Physics:
         touching[:, :-1] = self._others(*(records[name][:, 1:] for name in COUNTERS))
         touching[:, -1] = self.touching(ids)
         touching[self.diverged(ids)] = 0
-        collision = np.asarray(touching.any(axis=1))
-        contacts = [NONE] * len(ids)
-        for i in np.flatnonzero(collision):
-            contacts[i] = self._touched(int(ids[i]), records["qpos"][i], np.flatnonzero(touching[i]))
-        return collision, contacts
+        return np.asarray(touching.any(axis=1)), self._touched(ids, records["qpos"], touching > 0)
 
     def _run(self, ids: Array, before: Array, after: Array, substeps: int) -> dict[str, Array]:
         """Step with servo targets from `before` to `after`; counters and qpos after every substep, (len(ids), substeps, …)."""
@@ -171,29 +167,33 @@ class Physics:
         counters: dict[str, Array] = {name: np.zeros((n, substeps), dtype=np.int32) for name in COUNTERS}
         return {**counters, "qpos": np.zeros((n, substeps, model.nq)), "ctrl": np.zeros((n, substeps, model.nu))}
 
-    def _touched(self, sim: int, qpos: Array, substeps: Array) -> Array:
-        """Contacts of one simulation at some substeps, the deepest of each pair, from qpos (all substeps, n_q)."""
-        model = self._batch.get_model(sim, self._scratch_model) if self._own else self.model
-        data = self._scratch
-        mujoco.mj_setState(model, data, self.rows[sim], STATE)
-        counts, geoms, distances, places = [], [], [], []
-        for substep in substeps:
-            data.qpos[:] = qpos[substep]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            contact = data.contact
-            counts.append(data.ncon)
-            geoms.append(contact.geom.copy())
-            distances.append(contact.dist.copy())
-            places.append(contact.pos.copy())
+    def _touched(self, ids: Array, qpos: Array, touching: Array) -> list[Array]:
+        """Contacts of each simulation, the deepest of each pair over the substeps at which it is `touching` (len(ids), substeps)."""
+        data, found = self._scratch, []
+        for i in np.flatnonzero(touching.any(axis=1)):
+            model = self._batch.get_model(int(ids[i]), self._scratch_model) if self._own else self.model
+            mujoco.mj_setState(model, data, self.rows[ids[i]], STATE)
+            for substep in np.flatnonzero(touching[i]):
+                data.qpos[:] = qpos[i, substep]
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_collision(model, data)
+                contact = data.contact
+                found.append((data.ncon, i, substep, contact.geom.copy(), contact.dist.copy(), contact.pos.copy()))
+        if not found:
+            return [NONE] * len(ids)
+        counts, rows, substeps, geoms, distances, places = zip(*found, strict=True)
         every = np.concatenate(geoms)
-        first, second = np.minimum(every[:, 0], every[:, 1]), np.maximum(every[:, 0], every[:, 1])
+        first, second = every.min(axis=1), every.max(axis=1)
         keep = np.flatnonzero(~self._soles[first, second])
-        rows = np.zeros(len(keep), dtype=CONTACT)
-        rows["substep"], rows["geom1"], rows["geom2"] = np.repeat(substeps, counts)[keep], first[keep], second[keep]
-        rows["depth"] = -np.concatenate(distances)[keep]
-        rows["x"], rows["y"], rows["z"] = np.concatenate(places)[keep].T
-        return deepest(rows)
+        contacts = np.zeros(len(keep), dtype=CONTACT)
+        contacts["step"], contacts["substep"] = (np.repeat(each, counts)[keep] for each in (rows, substeps))
+        contacts["geom1"], contacts["geom2"] = first[keep], second[keep]
+        contacts["depth"] = -np.concatenate(distances)[keep]
+        contacts["x"], contacts["y"], contacts["z"] = np.concatenate(places)[keep].T
+        contacts = deepest(contacts)
+        ends = np.searchsorted(contacts["step"], np.arange(1, len(ids)))
+        contacts["step"] = 0
+        return np.split(contacts, ends)
 
     def diverged(self, ids: Array) -> Array:
         """Simulations whose last call left no number, one beyond all bounds, or an error of MuJoCo's, (len(ids),) bool."""
@@ -208,8 +208,8 @@ NONE: Array = np.zeros(0, dtype=CONTACT)
 
 
 def deepest(rows: Array) -> Array:
-    """Of all contacts of a control step, per geom pair the deepest (the first of equals), by geom ids; CONTACT rows in and out."""
-    rows = rows[np.lexsort((rows["substep"], -rows["depth"], rows["geom2"], rows["geom1"]))]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = (rows["geom1"][1:] != rows["geom1"][:-1]) | (rows["geom2"][1:] != rows["geom2"][:-1])
-    return np.asarray(rows[first])
+    """Of all contacts of a step, per geom pair the deepest (the first of equals), by step and geom ids; CONTACT rows in and out."""
+    rows = rows[np.lexsort((rows["substep"], -rows["depth"], rows["geom2"], rows["geom1"], rows["step"]))]
+    another = np.ones(len(rows), dtype=bool)
+    another[1:] = np.logical_or.reduce([rows[name][1:] != rows[name][:-1] for name in ("step", "geom1", "geom2")])
+    return np.asarray(rows[another])
