@@ -79,13 +79,16 @@ def row(what: str, value: float, unit: str, target: str = "") -> Row:
 
 
 def updates(size: int) -> Iterator[Row]:
-    plain = replace(PRESETS["default"], network=replace(PRESETS["default"].network, critic_norm="none"))
+    default = PRESETS["default"]
+    delayed = replace(default, learner=replace(default.learner, actor_delay=2))  # as TD3
+    plain = replace(delayed, network=replace(default.network, critic_norm="none"))
     variants: dict[str, Callable[[], object]] = {
         "TD3": td3(size),
         "1 task, same networks": digrad(plain, size, tasks=1),
         "2 tasks, same networks": digrad(plain, size),
         "2 tasks, same networks, pcgrad": digrad(replace(plain, learner=replace(plain.learner, gradient="pcgrad")), size),
-        "2 tasks, default (LayerNorm)": digrad(PRESETS["default"], size),
+        "2 tasks, with LayerNorm": digrad(delayed, size),
+        "2 tasks, default (LayerNorm, no delay)": digrad(default, size),
     }
     if size == 256:
         variants["paper, batch 64"] = digrad(PRESETS["paper"], 64)

@@ -9,7 +9,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -17,6 +17,8 @@ from safetensors.numpy import save_file
 
 from coordlog.episode import Array, Json
 from coordlog.errors import FormatError, StorageError
+
+_T = TypeVar("_T")
 
 
 class Saved(NamedTuple):
@@ -68,6 +70,11 @@ def load_arrays(path: Path, *, kind: str) -> Saved:
         raise StorageError(f"{path} cannot be read: {error}") from error
     except SafetensorError as error:
         raise FormatError(f"{path} is damaged or not a safetensors file: {error}") from error
+
+
+def under(prefix: str, values: Mapping[str, _T]) -> dict[str, _T]:
+    """What is named with the prefix, without it."""
+    return {key.removeprefix(prefix): value for key, value in values.items() if key.startswith(prefix)}
 
 
 def generator_to_json(rng: np.random.Generator) -> Json:

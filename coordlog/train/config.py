@@ -70,13 +70,13 @@ class LearnerConfig:
     """Discount γ per control step."""
     tau: float = 0.005
     """Polyak rate: θ' ← τ θ + (1 - τ) θ' after each actor update (eq. 5, whose τ and 1 - τ are printed swapped)."""
-    actor_rate: float = 3e-4
+    actor_rate: float = 1e-3
     """Adam learning rate of the actor."""
-    critic_rate: float = 3e-4
+    critic_rate: float = 1e-3
     """Adam learning rate of the critic."""
     weight_decay: float = 0.0
     """L2 coefficient on the critic's weights (not on biases or norms), as gradient weight_decay · w."""
-    actor_delay: int = 2
+    actor_delay: int = 1
     """The actor and the targets are updated at every actor_delay-th critic update."""
     target_noise: float = 0.1
     """Standard deviation of the noise on target actions (TD3's target smoothing); 0 for none."""
@@ -107,9 +107,9 @@ class LearnerConfig:
 class BehaviourConfig:
     """Pull towards the logged action, on log samples only: w · mean((μ(s) - a)²) is added to the actor's loss."""
 
-    weight: float = 2.5
+    weight: float = 20.0
     """w at the first update; 0 for no pull."""
-    final: float = 2.5
+    final: float = 20.0
     """w at the last update, linear in between. Annealed to nearly nothing, good policies have collapsed."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no gradient passes (Andrychowicz 2017)."""
@@ -160,7 +160,7 @@ class ReplayConfig:
     """Live transitions stored before the first update."""
     log_fraction: float = 0.5
     """Share of each batch that comes from logs when there are logs and live transitions."""
-    hindsight: float = 0.0
+    hindsight: float = 0.5
     """Share of each batch whose goals are replaced by palms reached later in the same episode."""
 
     def __post_init__(self) -> None:
@@ -190,6 +190,8 @@ class LoopConfig:
     """Control steps of every simulation between two snapshots of the actor, when live."""
     overlap: bool = True
     """Simulate the next block while updating on the ones before it; the results are the same either way."""
+    averaged: bool = True
+    """Evaluate and keep the target actor, an average of the last actors (eq. 5), in place of the actor itself."""
     metrics_every: int = 500
     """Updates between two rows of metrics."""
     evaluate_every: int = 2_500

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from coordlog.episode import Array
 from coordlog.errors import SpecError
+from coordlog.train.checkpoint import under
 from coordlog.train.config import LearnerConfig, NetworkConfig
 from coordlog.train.gradients import head_weights, project_conflicts
 from coordlog.train.networks import Actor, Critic
@@ -200,7 +201,7 @@ class Learner:
             SpecError: if a network's tensor is missing or has another shape: the state is of another layout or network.
         """
         for name in NETWORKS:
-            module, found = getattr(self, name), _under(f"{name}.", tensors)
+            module, found = getattr(self, name), under(f"{name}.", tensors)
             for key, value in module.state_dict().items():
                 got = tuple(found[key].shape) if key in found else None
                 if got != tuple(value.shape):
@@ -210,7 +211,7 @@ class Learner:
             module.load_state_dict(found)
         for name in OPTIMISERS:
             optimiser, slots = getattr(self, name), dict[int, dict[str, Tensor]]()
-            for key, value in _under(f"{name}.", tensors).items():
+            for key, value in under(f"{name}.", tensors).items():
                 index, _, slot = key.partition(".")
                 slots.setdefault(int(index), {})[slot] = value
             optimiser.load_state_dict({"state": slots, "param_groups": optimiser.state_dict()["param_groups"]})
@@ -218,8 +219,3 @@ class Learner:
         self._last = (value, behaviour, saturation)
         self.updates = int(tensors["updates"])
         self.generator.set_state(tensors["generator"].cpu())
-
-
-def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors whose names start with the prefix, without it."""
-    return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}

@@ -8,7 +8,6 @@ other gives the same bits. Between two rounds nothing is under way: that is when
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
@@ -19,12 +18,13 @@ import torch
 from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.train.buffer import Block, ReplayBuffer
-from coordlog.train.checkpoint import generator_from_json, generator_to_json, load_arrays, save_arrays
+from coordlog.train.checkpoint import generator_from_json, generator_to_json, load_arrays, save_arrays, under
 from coordlog.train.digrad import Learner
 from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
+from coordlog.train.networks import Actor
 from coordlog.train.policy import Policy
 from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
@@ -107,10 +107,7 @@ class Trainer:
         return min(1.0, max(live, self.updates / max(1, self._earned(self.settings.loop.steps))))
 
     def run(self, *, resume: bool = False) -> Outcome:
-        """Train until a budget is used up, the run diverges, or it is asked to stop; either way it can be resumed.
-
-        Args:
-            resume: Go on from the folder's checkpoint.
+        """Train until a budget is used up, the run diverges, or it is asked to stop; with `resume`, from the folder's checkpoint.
 
         Raises:
             StorageError: if the folder already holds a run and is not to be resumed, holds none but is, or cannot be written to.
@@ -134,10 +131,9 @@ class Trainer:
                 event = self._pause(before)
                 if event is not None:
                     return self._end("diverged", event)
-        if self._tally.count > 0:
-            event = self._write_training_row()
-            if event is not None:
-                return self._end("diverged", event)
+        event = self._write_training_row() if self._tally.count > 0 else None
+        if event is not None:
+            return self._end("diverged", event)
         if (
             self.hooks.evaluate is not None
             and self.settings.loop.evaluate_every > 0
@@ -147,10 +143,13 @@ class Trainer:
         return self._end("finished")
 
     def policy(self) -> Policy:
-        """The actor as it is now, as a function and file of its own."""
+        """What the run has learnt so far, as a function and file of its own."""
+        return self._policy(self.learner.target_actor if self.settings.loop.averaged else self.learner.actor)
+
+    def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network
         said = {"activation": network.activation, "norm": network.actor_norm, "updates": self.updates, "steps": self.steps}
-        return Policy(self.learner.actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
+        return Policy(actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
 
     def _collects(self) -> bool:
         """Whether the next round steps the simulations."""
@@ -181,7 +180,7 @@ class Trainer:
             return
         assert self.source is not None
         assert self.buffer is not None
-        policy = Exploring(self.policy(), self._noise, deviation=self.settings.noise.at(self.progress))
+        policy = Exploring(self._policy(self.learner.actor), self._noise, deviation=self.settings.noise.at(self.progress))
         length = min(self.settings.loop.block, -(-(self.settings.loop.steps - self.steps) // self.source.lanes))
         if self.settings.loop.overlap:
             under_way = pool.submit(self.source.collect, length, policy)
@@ -288,16 +287,12 @@ class Trainer:
         refuse_changes(self.settings, meta["settings"])
         if meta["log_transitions"] != self.log_transitions:
             raise ConfigError(f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}")
-        self.learner.load_state({key: torch.from_numpy(value) for key, value in _under("learner.", arrays).items()})
-        self._tally.load_state(_under("tally.", arrays))
+        self.learner.load_state({key: torch.from_numpy(value) for key, value in under("learner.", arrays).items()})
+        self._tally.load_state(under("tally.", arrays))
         if self.source is not None and self.buffer is not None:
-            self.source.load_state(_under("source.", arrays))
+            self.source.load_state(under("source.", arrays))
             self.buffer.load(self.folder / "buffer", total=meta["slots"])
         self.steps, self.best, self._elapsed = meta["steps"], meta["best"], meta["seconds"]
         self._evaluated = meta["evaluated"]
         self._rng = generator_from_json(meta["generators"][0])
-        self._noise.load_state(meta["generators"][1], _under("noise.", arrays))
-
-
-def _under(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
-    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
+        self._noise.load_state(meta["generators"][1], under("noise.", arrays))

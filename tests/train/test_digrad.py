@@ -229,6 +229,17 @@ def test_the_behaviour_term_pulls_towards_logged_actions_only(combination: str, 
 
 
 @pytest.mark.usefixtures("double")
+def test_the_effort_term_pulls_all_actions_towards_rest(rng: np.random.Generator) -> None:
+    data = batch(rng, 2)
+    with_effort, without = learner(TWO_ARMS), learner(TWO_ARMS)
+    with_effort.update(data, effort=0.7)
+    without.update(data)
+    fresh = learner(TWO_ARMS)
+    parts = torch.autograd.grad(0.7 * fresh.actor(data.state).square().mean(), tuple(fresh.actor.parameters()))
+    torch.testing.assert_close(gradient(with_effort) - gradient(without), torch.cat([part.reshape(-1) for part in parts]))
+
+
+@pytest.mark.usefixtures("double")
 def test_normalising_divides_by_the_mean_absolute_value(rng: np.random.Generator) -> None:
     data = batch(rng, 2)
     made, plain = learner(TWO_ARMS, config=replace(DDPG, normalise=True)), learner(TWO_ARMS)

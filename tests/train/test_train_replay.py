@@ -279,7 +279,7 @@ def stores() -> tuple[LogReplay, ReplayBuffer]:
 
 
 def config(**values: float) -> ReplayConfig:
-    return ReplayConfig(**{"batch": 32, "warmup": 32, **values})  # type: ignore[arg-type]
+    return ReplayConfig(**{"batch": 32, "warmup": 32, "hindsight": 0.0, **values})  # type: ignore[arg-type]
 
 
 def test_batches_mix_logs_and_live_steps_by_share(rng: np.random.Generator) -> None:
