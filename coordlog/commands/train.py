@@ -62,6 +62,7 @@ def train(
     """
     from coordlog.commands.training import Judge, Progress, assemble, record_training, require_window, watch
     from coordlog.sim.scene import find
+    from coordlog.train.bind import require_alike
     from coordlog.train.task import Hooks
 
     given = {
@@ -85,6 +86,8 @@ def train(
     like = logs.env(0) if logs else None
     env = make_env(place, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
     said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
+    if like:
+        require_alike(like, said["env"], where=f"scene '{scene}'")
     if view:
         require_window()
     run = _begin(folder, said, logs, resume=resume)

@@ -143,9 +143,12 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
         radii: Radii of the spheres [m]; without them the scene's largest.
 
     Raises:
-        ConfigError: if the robot's model lacks something its spec names.
+        ConfigError: if the robot's model is no XML, or lacks something its spec names.
     """
-    root = ET.fromstring(scene.robot.mjcf)
+    try:
+        root = ET.fromstring(scene.robot.mjcf)
+    except ET.ParseError as error:
+        raise ConfigError(f"robot '{scene.robot.name}': expected its model as MJCF text: {error}") from error
     world = _section(root, "worldbody")
     base = str(_first(world, "body", scene.robot).get("name"))
     ET.SubElement(_section(root, "option"), "flag", autoreset="disable")  # a diverged state stays visible instead of jumping to zero

@@ -90,6 +90,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
         (("--from", "nowhere"), "no such file or folder"),
         (("--from", FIXTURES), "layouts"),
         (("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"), "logs of several scenes (shelf, table)"),
+        (("--from", FIXTURES / "table", "--scene", "planar"), "scene 'planar': its robot is not that of the other logs"),
         (("--from", FIXTURES / "table", "--where", "cleen"), "--where: expected an SQL condition over"),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
