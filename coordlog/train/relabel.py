@@ -99,9 +99,15 @@ def outcome(view: GoalView, reward: RewardFunction, *, palms: Array, goals: Arra
     return Outcome(distance, boundary, goal, rewards, np.asarray(instability | goal.all(axis=-1)))
 
 
-def draw_later(rng: np.random.Generator, now: Array, last: Array) -> Array:
-    """For each index, one drawn uniformly from itself to the last of its episode: the "future" strategy. All (n,) integers."""
-    return np.asarray(now + (rng.random(len(now)) * (last - now + 1)).astype(now.dtype))
+def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int = 0) -> Array:
+    """For each index, one drawn uniformly from itself to the last of its episode (the "future" strategy). All (n,) integers.
+
+    With a horizon, at most that many indices are drawn from; 0 for all of them.
+    """
+    span = last - now + 1
+    if horizon > 0:
+        span = np.minimum(span, horizon)
+    return np.asarray(now + (rng.random(len(now)) * span).astype(now.dtype))
 
 
 def value_bounds(reward: RewardFunction, *, k: int, gamma: float, farthest: float) -> tuple[float, float]:
