@@ -35,6 +35,7 @@ from coordlog.train.networks import Actor
 from coordlog.train.policy import Policy
 from coordlog.train.replay import Arrays, MixedReplay, transitions
 from coordlog.train.settings import PRESETS, Settings
+from coordlog.train.task import Task
 
 N_X, N_U, EPISODE = 39, 13, 150
 ARMS = {"left": list(range(9)), "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
@@ -172,7 +173,9 @@ def batches(rows: int) -> Iterator[Row]:
         yield row("batch of 256 from tensors in memory", seconds["memory"] / count * 1e6, "us")
         yield row("shuffled batches: speed against tensors in memory", seconds["memory"] / seconds["ours"], "x", "≥ 0.9")
         replay, rng = (
-            MixedReplay(replace(PRESETS["default"].replay, hindsight=0.0), gamma=0.98, reward=reward, logs=store),
+            MixedReplay(
+                replace(PRESETS["default"].replay, hindsight=0.0), Task(N_X, N_U, ARMS, reward, farthest=0.8), gamma=0.98, logs=store
+            ),
             np.random.default_rng(0),
         )
         drawn = taking_turns({"sample": lambda: replay.sample(rng)}, repeat=500)

@@ -172,6 +172,8 @@ class ReplayConfig:
     """Weight of the behaviour term on live samples in hindsight, beside 1 on samples of logs."""
     n_step: int = 5
     """Steps whose rewards a target sums before it bootstraps; one action at 25 Hz changes too little to be seen in the value."""
+    reorder: bool = True
+    """List the spheres of every sample in an order of chance: no order means anything, so each sample stands for all of them."""
 
     def __post_init__(self) -> None:
         """Check every field."""

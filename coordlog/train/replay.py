@@ -11,8 +11,9 @@ from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.train.config import ReplayConfig
 from coordlog.train.digrad import Batch
-from coordlog.train.relabel import GoalView, RewardFunction, outcome, set_goals
+from coordlog.train.relabel import GoalView, RewardFunction, outcome, reorder, set_goals
 from coordlog.train.returns import Return, n_step
+from coordlog.train.task import Task
 
 
 class Arrays(NamedTuple):
@@ -118,10 +119,9 @@ class MixedReplay:
     def __init__(
         self,
         config: ReplayConfig,
+        task: Task,
         *,
         gamma: float,
-        reward: RewardFunction,
-        view: GoalView | None = None,
         logs: Store | None = None,
         live: Store | None = None,
         device: str = "cpu",
@@ -130,15 +130,14 @@ class MixedReplay:
 
         Args:
             config: Sizes and shares.
+            task: The reward, and where goals and spheres stand in a state.
             gamma: Discount per step.
-            reward: The reward, for goals in hindsight.
-            view: Where goals stand in a state; needed for hindsight.
             logs: Immutable transitions; the behaviour term applies to these.
             live: Transitions of the run itself; it applies to those in hindsight, times `config.imitation`.
             device: Where batches go.
 
         Raises:
-            ConfigError: if there is no store, the stores differ in layout, or hindsight lacks a view.
+            ConfigError: if there is no store, the stores differ in layout, or the task has no goals for hindsight.
         """
         stores = [store for store in (logs, live) if store is not None]
         if not stores:
@@ -147,9 +146,10 @@ class MixedReplay:
             raise ConfigError(
                 f"replay: logs have widths (n_x, n_u, k) = {stores[0].widths}, live steps {stores[1].widths}; train them apart"
             )
-        if config.hindsight > 0 and view is None:
+        if config.hindsight > 0 and task.view is None:
             raise ConfigError("replay.hindsight: expected to know where goals stand in the state; set it to 0 for this task")
-        self._config, self._gamma, self._reward, self._view = config, gamma, reward, view
+        self._config, self._task, self._gamma = config, task, gamma
+        self._spheres = task.spheres if config.reorder else None
         self._logs, self._live, self._device, self._widths = logs, live, torch.device(device), stores[0].widths
 
     def sample(self, rng: np.random.Generator) -> Batch:
@@ -160,6 +160,8 @@ class MixedReplay:
             self._fill(rng, self._logs, out.rows(slice(0, logged)), imitation=(1.0, 1.0))
         if self._live is not None and logged < size:
             self._fill(rng, self._live, out.rows(slice(logged, size)), imitation=(self._config.imitation, 0.0))
+        if self._spheres is not None:
+            reorder(rng, self._spheres, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
 
     def _logged(self) -> int:
@@ -176,9 +178,10 @@ class MixedReplay:
         rows = store.draw(rng, len(out.state))
         count = round(config.hindsight * len(rows))
         if count > 0:
-            assert self._view is not None
-            goals = self._view.points(store.later(rng, rows[:count], config.horizon), self._view.palms)
-            part, asked = out.rows(slice(0, count)), Asked(goals, self._view, self._reward)
+            view = self._task.view
+            assert view is not None
+            goals = view.points(store.later(rng, rows[:count], config.horizon), view.palms)
+            part, asked = out.rows(slice(0, count)), Asked(goals, view, self._task.reward)
             in_hindsight(store, rows[:count], part, asked, n=config.n_step, gamma=self._gamma)
         if count < len(rows):
             transitions(store, rows[count:], out.rows(slice(count, None)), n=config.n_step, gamma=self._gamma)

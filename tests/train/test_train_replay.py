@@ -284,7 +284,7 @@ def test_batches_mix_logs_and_live_steps_by_share(rng: np.random.Generator) -> N
     logs, live = stores()
     known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
     for share, count in ((0.5, 16), (0.25, 8), (0.0, 0), (1.0, 32)):
-        batch = MixedReplay(config(log_fraction=share), gamma=GAMMA, reward=toy.reward, logs=logs, live=live).sample(rng)
+        batch = MixedReplay(config(log_fraction=share), toy.task(), gamma=GAMMA, logs=logs, live=live).sample(rng)
         known_rows = np.array([row.tobytes() in known for row in batch.state.numpy()])
         np.testing.assert_array_equal(known_rows, np.arange(32) < count)
 
@@ -294,13 +294,13 @@ def test_all_of_a_batch_comes_from_whichever_there_is(rng: np.random.Generator) 
     known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
     nothing = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
     for given, share in (({"logs": logs}, 1), ({"logs": logs, "live": nothing}, 1), ({"live": live}, 0)):
-        batch = MixedReplay(config(), gamma=GAMMA, reward=toy.reward, **given).sample(rng)
+        batch = MixedReplay(config(), toy.task(), gamma=GAMMA, **given).sample(rng)
         assert np.mean([row.tobytes() in known for row in batch.state.numpy()]) == share
 
 
 def test_batches_follow_from_the_generator_alone() -> None:
     logs, live = stores()
-    replay = MixedReplay(config(hindsight=0.5), gamma=GAMMA, reward=toy.reward, view=toy.view(), logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.5), toy.task(), gamma=GAMMA, logs=logs, live=live)
     one, other = (replay.sample(np.random.default_rng(5)) for _ in range(2))
     assert all((a == b).all() for a, b in zip(one, other, strict=True))
 
@@ -309,7 +309,7 @@ def test_hindsight_asks_a_share_of_each_batch_for_what_was_reached(rng: np.rando
     logs, live = stores()
     view = toy.view()
     asked = {points.tobytes() for store in (logs, live) for points in view.points(read(store, np.arange(len(store))).state, view.goals)}
-    replay = MixedReplay(config(hindsight=0.25, n_step=1), gamma=GAMMA, reward=toy.reward, view=view, logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.25, n_step=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
     for _ in range(20):
         batch = replay.sample(rng)
         state, following = batch.state.numpy(), batch.next_state.numpy()
@@ -380,7 +380,7 @@ def test_what_leads_to_a_mishap_is_not_imitated(kind: str) -> None:
 def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.Generator) -> None:
     logs, live = stores()
     asked = config(hindsight=0.25, imitation=0.5, horizon=1)
-    replay = MixedReplay(asked, gamma=GAMMA, reward=toy.reward, view=toy.view(), logs=logs, live=live)
+    replay = MixedReplay(asked, toy.task(), gamma=GAMMA, logs=logs, live=live)
     imitated = replay.sample(rng).imitated[:, 0].numpy()
     np.testing.assert_array_equal(imitated, np.repeat([1.0, 0.5, 0.0], [16, 4, 12]))  # nothing goes wrong in these episodes
 
@@ -388,9 +388,9 @@ def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.G
 def test_stores_that_cannot_be_mixed_are_refused() -> None:
     logs, _ = stores()
     with pytest.raises(ConfigError, match="expected logs, live steps or both, got neither"):
-        MixedReplay(config(), gamma=GAMMA, reward=toy.reward)
+        MixedReplay(config(), toy.task(), gamma=GAMMA)
     with pytest.raises(ConfigError, match=r"replay\.hindsight: expected to know where goals stand"):
-        MixedReplay(config(hindsight=0.5), gamma=GAMMA, reward=toy.reward, logs=logs)
+        MixedReplay(config(hindsight=0.5), replace(toy.task(), view=None), gamma=GAMMA, logs=logs)
     other = ReplayBuffer(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
     with pytest.raises(ConfigError, match=r"logs have widths \(n_x, n_u, k\) = \(18, 9, 2\), live steps \(5, 9, 2\)"):
-        MixedReplay(config(), gamma=GAMMA, reward=toy.reward, logs=logs, live=other)
+        MixedReplay(config(), toy.task(), gamma=GAMMA, logs=logs, live=other)
