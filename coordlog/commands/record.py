@@ -55,9 +55,10 @@ def record(
     from coordlog.scripted import with_noise
     from coordlog.sim.scene import find
 
+    asked = scene_of(scene) if scene else None
     file = policy_file(policy)
     trained = about(file) if file else {}
-    place = scene_of(scene) if scene else find(trained.get("scene", "table"))
+    place = asked or find(trained.get("scene", "table"))
     tables = read_toml(config) if config else {}
     env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
     chosen, described = make_policy(policy, env)
