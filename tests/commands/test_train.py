@@ -95,7 +95,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
-        (("--scene", "planar", "--steps", "64", "--resume"), "no run to resume"),
+        (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
     ],
 )
 def test_bad_input_is_refused_with_a_sentence(
