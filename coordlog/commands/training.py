@@ -15,6 +15,7 @@ from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Finished, Recorder
 from coordlog.scoring import evaluate, figures
 from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.events import EventFiles
 from coordlog.train.live import Simulations
 from coordlog.train.logs import Columns
 from coordlog.train.loop import Trainer
@@ -86,10 +87,10 @@ def watch(name: str) -> Iterator[Live]:
 
 
 class Progress:
-    """A bar over the budget, with the latest figures."""
+    """A bar over the budget, with the latest figures; hands them on to whoever else wants them."""
 
-    def __init__(self, bar: Bar, scene: str, settings: Settings, window: Live | None = None) -> None:
-        loop, self._window = settings.loop, window
+    def __init__(self, bar: Bar, scene: str, settings: Settings, *, window: Live | None = None, events: EventFiles | None = None) -> None:
+        loop, self._window, self._events = settings.loop, window, events
         self._bar, self._by_steps = bar, loop.updates == 0
         self._task = bar.add_task(f"training {scene}", total=loop.steps if self._by_steps else loop.updates, note="")
         self._note: dict[str, str] = {}
@@ -102,6 +103,8 @@ class Progress:
             rate = f"{float(row['updates_per_second'] or 0):.0f} updates/s"
             live = f", {float(row['steps_per_second'] or 0):,.0f} steps/s" if row["step"] else ""
             self._note["speed"] = rate + live
+        if self._events is not None:
+            self._events(row)
         if self._window is not None:
             self._window.figures(int(row["update"] or 0), curves(row))
         done = row["step"] if self._by_steps else row["update"]
