@@ -96,7 +96,7 @@ def train(
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
         show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events)
-        judge = Judge(scene, around, like, folder, episodes=eval_episodes, window=window)
+        judge = Judge(scene, around, like, folder, run=run, episodes=eval_episodes, window=window)
         recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
         hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,8 +12,9 @@ from rich.progress import Progress as Bar
 
 from coordlog.commands.environment import make_env
 from coordlog.record.cache import Logs
+from coordlog.record.dataset import SUFFIX
 from coordlog.record.reader import read_attachments, read_episode
-from coordlog.record.recorder import Finished, Recorder
+from coordlog.record.recorder import Recorder
 from coordlog.scoring import evaluate, figures
 from coordlog.train.bind import FARTHEST, task_of
 from coordlog.train.events import EventFiles
@@ -44,23 +46,24 @@ class Judge:
     """Evaluates a policy on held-out problems; the episodes are recorded like any other."""
 
     def __init__(
-        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, episodes: int, window: Live | None = None
+        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, run: str, episodes: int, window: Live | None = None
     ) -> None:
-        self._window = window
+        self._run, self._window = run, window
         self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like)
         self._folder, self._episodes = folder, episodes
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float]:
-        """Figures of merit after so many updates; see `scoring.figures`."""
+        """Figures of merit after so many updates; see `scoring.figures`. What a killed run had recorded of them is not recorded twice."""
         said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
         folder = self._folder / "episodes" / f"eval-{updates:07d}"
-        done: list[Finished] = []
-        with Recorder(self._env, folder, policy=said, display=False, finished=done.append) as recorder:
+        weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
+        run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
+        with Recorder(self._env, folder, policy=said, display=False, run=run) as recorder:
             scores = evaluate(recorder, policy, episodes=self._episodes, k=self._env.layout.k, seed=SEED)
         if self._window is not None:
             from coordlog.view.show import Show
 
-            paths = [item.path for item in done]
+            paths = sorted(folder.glob(f"*{SUFFIX}"))
             self._window.evaluation(updates, [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths])
         return figures(scores)
 
