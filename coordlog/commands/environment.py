@@ -57,11 +57,11 @@ def scene_of(name: str) -> Scene:
     return own
 
 
-def make_env(scene: Scene, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None) -> BatchEnv:
+def make_env(scene: Scene | str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None) -> BatchEnv:
     """The batched environment that the options describe; doubtful reward constants are said aloud.
 
     Args:
-        scene: What to simulate.
+        scene: What to simulate, or the name of one that ships.
         tables: Tables "env" and "reward" of a configuration file, or none.
         start: Name of the start pose.
         envs: Number of simulations.
@@ -69,10 +69,11 @@ def make_env(scene: Scene, tables: Mapping[str, Any], *, start: str, envs: int, 
         like: A `coordlog.env` record whose constants hold where the tables say nothing: those of the logs, or of a policy's training.
 
     Raises:
-        ConfigError: for an unknown pose, table or key, or a value out of range.
+        ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
     from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
     from coordlog.sim.env import BatchEnv
+    from coordlog.sim.scene import find
 
     for name in tables:
         if name not in TABLES:
@@ -83,4 +84,4 @@ def make_env(scene: Scene, tables: Mapping[str, Any], *, start: str, envs: int, 
         for doubt in reward.doubts():
             note(doubt)
     constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
-    return BatchEnv(scene, constants, reward, n=envs, threads=threads, start=start)
+    return BatchEnv(find(scene) if isinstance(scene, str) else scene, constants, reward, n=envs, threads=threads, start=start)

@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.environment import make_env, read_toml, scene_of
-from coordlog.commands.policies import about, make_policy, policy_file
+from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def record(
     scene: Annotated[
         str, typer.Option(help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table.")
     ] = "",
-    policy: Annotated[str, typer.Option(help="expert, random, still, or a run folder or policy file.")] = "expert",
+    policy: Annotated[str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")] = "expert",
     episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
@@ -47,6 +47,8 @@ def record(
 
         coordlog record --scene shelf --episodes 512 --noise 0.15 --out logs/shelf
 
+        coordlog record --scene shelf --policy pretrained --split test
+
         coordlog record --policy runs/table/best --split test --episodes 200 --out logs/evaluation
     """
     from coordlog.record.recorder import Recorder
@@ -56,9 +58,9 @@ def record(
     from coordlog.sim.scene import find
 
     asked = scene_of(scene) if scene else None
-    file = policy_file(policy)
+    file = policy_file(policy, asked.name if asked else DEFAULT_SCENE)
     trained = about(file) if file else {}
-    place = asked or find(trained.get("scene", "table"))
+    place = asked or find(trained.get("scene", DEFAULT_SCENE))
     tables = read_toml(config) if config else {}
     env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
     chosen, described = make_policy(policy, env)

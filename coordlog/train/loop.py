@@ -134,11 +134,7 @@ class Trainer:
         event = self._write_training_row() if self._tally.count > 0 else None
         if event is not None:
             return self._end("diverged", event)
-        if (
-            self.hooks.evaluate is not None
-            and self.settings.loop.evaluate_every > 0
-            and self.updates % self.settings.loop.evaluate_every != 0
-        ):
+        if self.settings.loop.evaluate_every > 0 and self._evaluated != self.updates:
             self._evaluate()
         return self._end("finished")
 
