@@ -111,3 +111,5 @@ def decisions(env: BatchEnv, policy: Policy, *, episodes: int = TIMED, seed: int
         "calls": len(timed.acted),
         "control_period": env.task.config.control_period,
     }
+
+

@@ -1,6 +1,6 @@
 """Is the articulated torso of use? The same problems with the five joints of the spine held by their servos.
 
-python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
+    python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
 """
 
 from __future__ import annotations
@@ -58,15 +58,7 @@ def measure(scene: str, *, episodes: int = EPISODES) -> tables.Table:
 
 def section(found: Tables) -> str:
     """What the spine is worth, scene by scene."""
-    names = (
-        "scene",
-        "posture exists, torso free",
-        "torso locked",
-        "expert clean, free",
-        "locked",
-        "DiGrad from logs clean, free",
-        "locked",
-    )
+    names = ("scene", "posture exists, torso free", "torso locked", "expert clean, free", "locked", "DiGrad from logs clean, free", "locked")
     lines = cells.head(*names)
     for scene in tables.SCENES:
         reach = found.get(f"{scene}-reach")
