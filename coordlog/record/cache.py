@@ -99,7 +99,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
     known = _known(folder) if missing else known
     places = [known[digest] for digest in digests.values() if digest in known]
     if not places:
-        raise SpecError("no logs: expected at least one finished episode to learn from" + (f"; {skipped[0].reason}" if skipped else ""))
+        why = f"; {skipped[0].path}: {skipped[0].reason}" if skipped else ""
+        raise SpecError(f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}")
     return _gathered(folder, places, tuple(skipped))
 
 
