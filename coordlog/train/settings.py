@@ -54,8 +54,8 @@ PRESETS: dict[str, Settings] = {
             normalise=False,
         ),
         behaviour=BehaviourConfig(weight=0.0, final=0.0, effort=0.0),
-        noise=NoiseConfig(start=0.3, final=0.02, decay=0.6),
-        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0),
+        noise=NoiseConfig(start=0.3, final=0.02, decay=0.6, correlation=0.0),
+        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0, imitation=0.0, n_step=1, reorder=False),
         loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, averaged=False),
     ),
 }
