@@ -92,7 +92,7 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
         folder.mkdir(parents=True, exist_ok=True)
     digests = {path: file_digest(path) for path in paths}
     known = _known(folder)
-    missing = [path for path, digest in digests.items() if digest not in known]
+    missing = list({digest: path for path, digest in digests.items() if digest not in known}.values())  # of copies, one
     groups, skipped = _alike(missing)
     for built in run(partial(build, folder=folder), groups):
         skipped += built.skipped
