@@ -15,7 +15,8 @@ from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.train.buffer import Block, ReplayBuffer
 from coordlog.train.config import ReplayConfig
 from coordlog.train.logs import Columns, LogReplay
-from coordlog.train.replay import Arrays, MixedReplay, Store, moved, transitions
+from coordlog.train.relabel import outcome
+from coordlog.train.replay import Arrays, Asked, MixedReplay, Store, in_hindsight, moved, transitions
 from coordlog.train.task import Motion
 
 WIDTHS = (toy.N_X, toy.N_U, 2)
@@ -356,6 +357,33 @@ def test_several_steps_of_an_episode_are_summed_as_one_by_one(kind: str, rng: np
         np.testing.assert_allclose(found.reward[place], reward, rtol=1e-5)
         np.testing.assert_allclose(found.discount[place], discount, rtol=1e-6)
         np.testing.assert_array_equal(found.next_state[place], following)
+
+
+def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(rng: np.random.Generator) -> None:
+    store, view = LogReplay(toy.logs(12), toy.reward), toy.view()
+    rows = store.draw(rng, 200)
+    goals = view.points(store.next_state(store.later(rng, rows, 8)[0]), view.palms)
+    out = Arrays.empty(200, WIDTHS)
+    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), n=4, gamma=GAMMA)
+    index, within = store.ahead(rows, 4)
+    for place in range(200):
+        reward, discount = np.zeros(2), 1.0
+        for row, inside in zip(index[place], within[place], strict=True):
+            if not inside:
+                break
+            palms = view.points(store.next_state(np.array([row])), view.palms)
+            mishaps = {name: store.take(name, np.array([row])) for name in ("collision", "instability")}
+            found = outcome(view, toy.reward, palms=palms, goals=goals[place][None], **mishaps)
+            reward, discount, last = reward + discount * found.reward[0], discount * GAMMA, palms[0]
+            if found.terminated[0]:
+                discount = 0.0
+                break
+        np.testing.assert_allclose(out.reward[place], reward, rtol=1e-5)
+        np.testing.assert_allclose(out.discount[place], discount, rtol=1e-6)
+        np.testing.assert_allclose(view.points(out.next_state[place][None], view.palms)[0], last)
+    assert 0.3 < (out.discount == 0).mean() < 0.95, "some goals are reached within the four steps, some are not"
+    np.testing.assert_allclose(view.points(out.state, view.goals), goals, atol=1e-6)
+    np.testing.assert_array_equal(out.state[:, view.goals], out.next_state[:, view.goals])
 
 
 def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -> None:
