@@ -13,6 +13,7 @@ import rerun as rr
 from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.view import palette
+from coordlog.view.draft import Draft
 from coordlog.view.outcome import KINDS, Outcome, about_all, about_one
 from coordlog.view.overview_layout import TIMELINE, overview_layout
 from coordlog.view.plots import lines
@@ -49,7 +50,9 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
     stream = new_stream(f"{len(outcomes)} episodes")
     stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if stage is not None:
-        draw_start(stream, stage)
+        draft = Draft()
+        draw_start(draft, stage)
+        draft.send(stream)
     draw_paths(stream, outcomes)
     draw_cursor(stream, outcomes)
     plot_rates(stream, outcomes)
@@ -102,7 +105,9 @@ def plot_rates(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
     succeeded = np.array([outcome.kind in ("clean success", "success with collision") for outcome in outcomes])
     rates = np.stack([running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
     names, colours = ["clean success", "success", "collision"], [palette.GOOD, palette.FAIR, palette.BAD]
-    lines(stream, "/rate", time, rates, names=names, colours=colours, width=2.0)
+    draft = Draft()
+    lines(draft, "/rate", time, rates, names=names, colours=colours, width=2.0)
+    draft.send(stream)
     worst = np.array([outcome.worst for outcome in outcomes])
     marks = rr.SeriesPoints(colors=[palette.JOINTS[0]], markers=["circle"], marker_sizes=[2.0], names=["farther palm"])
     stream.log("/final", marks, static=True)
