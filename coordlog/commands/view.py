@@ -122,10 +122,13 @@ def _overview(folder: Path) -> Any:
         task = bar.add_task("reading episodes", total=len(logs), note="")
 
         def shows() -> Iterator[Show]:
+            model = None  # one robot is drawn: the first whose model is there
             for path in logs.paths:
                 episode = logs.attempt(path, read_episode)
                 if episode is not None:
-                    yield Show(path.stem, episode, read_attachments(path), str(path))
+                    attachments = None if model else logs.attempt(path, read_attachments)
+                    model = model or attachments
+                    yield Show(path.stem, episode, attachments or {}, str(path))
                 bar.update(task, advance=1)
 
         stream = to_overview(shows())

@@ -101,7 +101,7 @@ def _arrow(value: Value) -> pa.Array:
         return pa.array([value], type=pa.float32())
     if not isinstance(value, np.ndarray):
         if isinstance(value[0], Enum):
-            return pa.array([constant.value for constant in value], type=pa.uint8())
+            return pa.array([constant.value for constant in value if isinstance(constant, Enum)], type=pa.uint8())
         if not isinstance(value[0], tuple):
             return pa.array(value)
         value = np.array(value, dtype=np.uint8)

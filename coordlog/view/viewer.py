@@ -36,6 +36,7 @@ NO_VULKAN = (
     "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install mesa-vulkan-drivers), "
     "or use --save FILE and open it on another machine"
 )
+TOO_SLOW = "the viewer runs but did not answer in time, as on a busy machine; try again, or use --save FILE and open it elsewhere"
 NO_DISPLAY = "no display: expected one named by DISPLAY or WAYLAND_DISPLAY; use --web, --screenshot FILE or --save FILE"
 
 
@@ -85,8 +86,10 @@ class Viewer:
             ViewerError: instead of the error of a client whose viewer had ended by itself.
         """
         try:
-            if isinstance(error, SILENT) and self._ends_within(2.0):
+            if isinstance(error, (*SILENT, TimeoutError)) and self._ends_within(2.0):
                 raise self.failure() from error
+            if isinstance(error, TimeoutError):
+                raise ViewerError(TOO_SLOW) from error
         finally:
             self.process.terminate()
             if not self._ends_within(5.0):
@@ -177,10 +180,13 @@ class Headless(Viewer):
         """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
         views = self._client.get_state().views
         place = next(view.view_id for view in views if view.view_class == kind) if kind else None
-        deadline, pictures = time.monotonic() + PATIENCE, [b"", bytes(self._client.take_screenshot(place))]
+        deadline, pictures = time.monotonic() + PATIENCE, [b""]
         while (len(pictures) <= FRAMES or pictures[-1] != pictures[-2]) and time.monotonic() < deadline:
+            with suppress(TimeoutError):  # a slow machine has not painted it yet
+                pictures.append(bytes(self._client.take_screenshot(place)))
             time.sleep(0.1)
-            pictures.append(bytes(self._client.take_screenshot(place)))
+        if not pictures[-1]:
+            raise TimeoutError
         return pictures[-1]
 
     def views(self) -> list[str]:
