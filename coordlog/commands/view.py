@@ -149,7 +149,7 @@ def _save(stream: Any, rrd: Path) -> None:
 def _present(rrd: Path, *, screenshot: Path | None, at: float | None, web: bool, port: int, window: bool) -> None:
     """A picture, a page, or a window, as asked."""
     if screenshot is not None:
-        from coordlog.view.viewer import screenshot as take
+        from coordlog.view.headless import screenshot as take
 
         for said in take(rrd, screenshot, at=at):
             terminal.note(said)

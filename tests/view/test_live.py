@@ -1,8 +1,7 @@
 """A training run in the viewer as it goes."""
 
-from dataclasses import replace
-
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from recordings import ReadBack, simulated_palms
 
 from coordlog.errors import ConfigError, SpecError, ViewerError
+from coordlog.view.headless import Headless
 from coordlog.view.live import Live
-from coordlog.view.viewer import Headless
 
 
 @pytest.fixture

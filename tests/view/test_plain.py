@@ -11,8 +11,9 @@ from coordlog.errors import ViewerError
 from coordlog.record.writer import write_episode
 from coordlog.spec import ARM, JOINT_STATE_TOPIC, STEP
 from coordlog.view import viewer
+from coordlog.view.headless import Headless
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
-from coordlog.view.viewer import BINARY, Headless
+from coordlog.view.viewer import BINARY
 
 DOCS = Path(__file__).parents[2] / "docs" / "viewers"
 
