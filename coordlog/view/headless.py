@@ -18,6 +18,8 @@ FRAMES = 5
 """Pictures asked for before one is taken: the viewer's own notices at its start fade over the first three it paints."""
 PATIENCE = 60.0
 """A picture is taken after this long [s] even if something in it still moves."""
+BUSY = 180.0
+"""A viewer that has not answered for this long [s] is given up; software painting takes its time on a machine with other work."""
 
 
 class Headless(Viewer):
@@ -129,7 +131,7 @@ def patiently(ask: Callable[[], Answer]) -> Answer:
     Raises:
         TimeoutError: if it stays so.
     """
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + BUSY
     while True:
         try:
             return ask()

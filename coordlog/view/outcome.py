@@ -90,10 +90,8 @@ class Outcome:
     @property
     def why(self) -> str:
         """What makes it worth a look, in a few words."""
-        touched = f", {self.collisions} steps of collision" if self.collisions else ""
-        if self.kind in ("aborted", "fell"):
-            return f"after {self.seconds:.2f} s{touched}"
-        return f"{self.worst * 100:.1f} cm off after {self.seconds:.2f} s{touched}"
+        when = f"after {self.seconds:.2f} s" if self.kind in ("aborted", "fell") else f"{self.worst * 100:.1f} cm off"
+        return f"{when}, {self.collisions} steps of collision" if self.collisions else when
 
 
 def kind(episode: Episode) -> str:
@@ -127,9 +125,9 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
     if len(finite):
         median, most = np.percentile(finite, [50, 90])
         lines += ["", f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm."]
-    lines += ["", "### Open next", "", "| # | ended as | why | file |", "|---|---|---|---|"]
+    lines += ["", "### Open next", "", "| # | episode | ended as | why |", "|---|---|---|---|"]
     names = _short([outcome.file for outcome in outcomes])
-    lines += [f"| {i} | {outcomes[i].kind} | {outcomes[i].why} | {plain(names[i])} |" for i in worth_a_look(outcomes)]
+    lines += [f"| {i} | {plain(names[i])} | {outcomes[i].kind} | {outcomes[i].why} |" for i in worth_a_look(outcomes)]
     return "\n".join([*lines, "", "Put the cursor of the time line on its number to see its hands and the command that opens it."])
 
 
@@ -154,4 +152,4 @@ def worth_a_look(outcomes: Sequence[Outcome]) -> list[int]:
 def _short(files: Sequence[str]) -> list[str]:
     """Files by what tells them apart: the folders they share are left out."""
     folder = os.path.commonpath([os.path.dirname(file) for file in files])
-    return [os.path.relpath(file, folder) if folder else file for file in files]
+    return [(os.path.relpath(file, folder) if folder else file).removesuffix(".mcap") for file in files]
