@@ -127,6 +127,7 @@ class Judge:
                 fresh[index] = False
                 time = self.samples.time[index]
                 yield self.asked.worst(time, self.samples(spline, index), self._config.clearance)
+        yield self.asked.moving(spline)
 
     def _deviation(self, spline: Spline) -> Breaches:
         if self._config.max_deviation is None:

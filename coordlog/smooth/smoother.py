@@ -76,6 +76,7 @@ def smooth(
         violation=violation,
         certified=best.proof.certified,
         spline=best.spline,
+        raw=problem.raw,
         knots=knots,
         weight=best.weight,
         lam=best.lam,
@@ -158,5 +159,5 @@ def _worst(problem: Problem, found: Breaches, names: Sequence[str]) -> Violation
     """The deepest breach of the gravest kind."""
     i = int(np.lexsort((-found.depth, found.kind))[0])
     kind, what = Kind(int(found.kind[i])), int(found.what[i])
-    text = problem.judge.asked.describe(what) if kind in (Kind.CONTACT, Kind.UNPROVEN) else names[what]
+    text = problem.judge.asked.describe(what) if kind in (Kind.CONTACT, Kind.UNPROVEN, Kind.MOTION) else names[what]
     return Violation(kind.name.lower(), float(found.time[i]), text, float(found.depth[i]))
