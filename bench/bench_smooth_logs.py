@@ -157,7 +157,9 @@ def separation(half_a, a, half_b, b):
 def limits_of(bench):
     """The limits that `coordlog smooth` sets."""
     fastest = fastest_of(bench.time, bench.q)
-    return Limits(bench.task.limits[:, 0], bench.task.limits[:, 1], speed=FASTER * np.maximum(bench.task.speeds, fastest))
+    return Limits(
+        bench.task.limits[:, 0], bench.task.limits[:, 1], speed=FASTER * np.maximum(bench.task.speeds, fastest), pace=bench.task.speeds
+    )
 
 
 def measure(bench, *, with_peers, with_plain, note):

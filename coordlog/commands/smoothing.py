@@ -111,7 +111,7 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     angles = episode.qpos[:, task.qpos_index]
     ends = "natural" if settings["method"] == "paper" else "soft"
     fastest = fastest_of(episode.time, angles, ends=ends)
-    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
+    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest), pace=task.speeds)
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(
         episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, ends=ends, **settings

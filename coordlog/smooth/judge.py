@@ -7,6 +7,7 @@ between them, and the certificate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,7 @@ class Judge:
             raise ConfigError("certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples")
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
+        self._pace = replace(limits, speed=limits.speed if limits.pace is None else limits.pace).widths(knots.position.shape[1])[2]
         self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._config = knots, config
         self.raw = Raw(raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths)
@@ -65,12 +67,23 @@ class Judge:
             hot: Indices of samples that are likely to fail, asked first.
             lenient: Excuse all that the raw path does wrong too, see `Raw.excuses`.
         """
-        proof = self._prove(spline, hot=hot, lenient=lenient)
+        proof = self.sampled(spline, hot=hot, lenient=lenient)
+        return proof if len(proof.found) else self.between(spline, proof, lenient=lenient)
+
+    def between(self, spline: Spline, proof: Proof, *, lenient: bool) -> Proof:
+        """Finish what `sampled` began: the certificate."""
+        return self._noted(self._between(spline, proof.excused, lambda found: self.raw.excuses(found, lenient=lenient)))
+
+    def sampled(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
+        """As `prove`, but for the certificate: not yet a proof of what lies between the samples."""
+        return self._noted(self._sampled(spline, hot, lenient))
+
+    def _noted(self, proof: Proof) -> Proof:
         if len(proof.found):
             self.failed = proof.found
         return proof
 
-    def _prove(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
+    def _sampled(self, spline: Spline, hot: Ints | None, lenient: bool) -> Proof:
         excused = self.raw.ends
         for look in self._looks(spline, hot):
             excuse = self.raw.excuses(look, lenient=lenient)
@@ -80,10 +93,14 @@ class Judge:
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
             excused = excused + look
-        return self._between(spline, excused, lambda found: self.raw.excuses(found, lenient=lenient))
+        return Proof(NONE, excused, certified=False)
 
     def _every(self, spline: Spline, time: Floats) -> Breaches:
         return self.asked.every(time, spline(time), self._config.clearance)
+
+    def outpaces(self, spline: Spline) -> bool:
+        """Whether a joint is faster than `Limits.pace`."""
+        return len(limit_breaches(spline, (*self.widths[:2], self._pace, self.widths[3]))) > 0
 
     def collides(self, spline: Spline, found: Breaches) -> bool:
         """Whether a contact found is more than being closer than the clearance."""

@@ -25,6 +25,8 @@ class Limits:
     """Largest |q'| [rad/s]."""
     acceleration: ArrayLike | None = None
     """Largest |q''| [rad/s²]."""
+    pace: ArrayLike | None = None
+    """Largest |q'| [rad/s] that longer soft ends may ask for; None: as far as `speed` goes."""
     tolerance: float = 1e-3
     """Overshoot of the range [rad] that is let pass: joint stops of a simulator are soft, and logs ride them."""
 

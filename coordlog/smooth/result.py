@@ -68,6 +68,8 @@ class Result:
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
     lam: Floats  # (n_j,) s³, 0 for a joint left raw
+    ease: int
+    """Knots over which soft ends are eased."""
     checks: int
     """Configurations the checker decided on."""
     slacks: int
