@@ -53,7 +53,7 @@ OURS = {
     "paper, proven": {"method": "paper"},
     "paper, knots": {"method": "paper", "dense": 1, "certify": False},
 }
-EVERYWHERE = ("local, 5 mm",)
+EVERYWHERE = ("local, 5 mm", "local", "paper, proven", "paper, knots")
 """Of ours, what smooths every log; the rest smooth the logs that the peers do."""
 DENSE = 16
 

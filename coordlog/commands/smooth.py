@@ -130,7 +130,7 @@ def _summary(rows: list[Json], settings: Json, *, wanted: int, seconds: float) -
             "acceleration": _median([_ratio(each["before"]["acceleration"], each["after"]["acceleration"]) for each in done]),
             "torque_rate": _median([_ratio(each["torque"]["before"]["rate"], each["torque"]["after"]["rate"]) for each in done]),
             "path_torque_rate": _median(
-                [_ratio(each["path_torque"]["before"]["rate"], each["path_torque"]["after"]["rate"]) for each in done]
+                [_ratio(*(each["path_torque"][at]["rate"] for at in ("before", "after"))) for each in done if "path_torque" in each]
             ),
             "torque_peak": _median([_ratio(each["torque"]["before"]["peak"], each["torque"]["after"]["peak"]) for each in done]),
             "max_deviation": _median([each["after"]["max_deviation"] for each in done]),
