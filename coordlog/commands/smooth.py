@@ -52,7 +52,7 @@ def smooth(
     """
     from coordlog.smooth.config import Config
 
-    settings = {"method": method, "cutoff": cutoff or "max", "max_deviation": max_deviation, "clearance": clearance}
+    settings = {"method": method, "cutoff": "max" if cutoff is None else cutoff, "max_deviation": max_deviation, "clearance": clearance}
     Config.of(**settings)
     if report is not None and report.exists() and not force:
         raise StorageError(f"{report}: the file exists and is not overwritten; choose another name, or pass --force")

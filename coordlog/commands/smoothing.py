@@ -56,7 +56,8 @@ def smooth_file(job: Job) -> Json:
         parameters, resumed = _smoothed(job)
         row |= {"status": parameters["status"], "reason": parameters["reason"], "resumed": resumed, "parameters": parameters}
     except CoordlogError as error:
-        row |= {"status": SKIPPED, "reason": str(error), "parameters": {}}
+        reason = str(error) if str(job.source) in str(error) else f"{job.source}: {error}"  # what knows no files names none
+        row |= {"status": SKIPPED, "reason": reason, "parameters": {}}
     return row | {"cpu": time.process_time() - began}
 
 

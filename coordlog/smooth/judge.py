@@ -7,7 +7,6 @@ between them, and the certificate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +51,7 @@ class Judge:
             raise ConfigError("certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples")
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
-        self._pace = replace(limits, speed=limits.speed if limits.pace is None else limits.pace).widths(knots.position.shape[1])[2]
+        self._pace = limits.paces(knots.position.shape[1])
         self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._config = knots, config
         self.raw = Raw(raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths)

@@ -94,6 +94,8 @@ def test_soft_ends_grow_longer_where_the_pace_allows():
     assert EASE < paced.ease < LONGER[0]
     assert abs(paced.spline(np.linspace(0.0, time[-1], 999), 1)).max() <= between
     assert smooth(time, q, Unobstructed(2), ends="rest").ease == EASE
+    with pytest.raises(SpecError, match=r"limits.pace: expected one number or 2"):
+        smooth(time, q, Unobstructed(2), limits=Limits(pace=[1.0, 2.0, 3.0]))
 
 
 def test_longer_soft_ends_keep_every_rule_too():
