@@ -11,9 +11,9 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.humanoid import HUMANOID
 from coordlog.sim.planar import PLANAR
 from coordlog.sim.scene import SCENES
-from coordlog.sim.state import StateView, state_view
+from coordlog.sim.state import NEAR, TIP, StateView, nearness, state_view
 
-ALL = EnvConfig(state_extras=("difference", "com", "velocity"))
+ALL = EnvConfig(state_extras=("difference", "com", "nearness", "velocity"))
 
 
 def view(robot=HUMANOID, *, spheres=0, config=None):
@@ -118,3 +118,46 @@ def test_the_order_of_extras_in_the_config_does_not_matter():
     one = view(config=EnvConfig(state_extras=("com", "difference")))
     other = view(config=replace(EnvConfig(), state_extras=("difference", "com")))
     assert one.names == other.names
+
+
+def test_nearness_points_from_the_nearest_point_of_a_link_and_grows_to_one_at_its_surface():
+    rng = np.random.default_rng(3)
+    links, palms = rng.uniform(-0.2, 0.2, (2, 200, 2, 3))
+    spheres = np.concatenate([rng.uniform(-0.4, 0.4, (200, 3, 3)), rng.uniform(0.02, 0.1, (200, 3, 1))], axis=2)
+    found = nearness(links, palms, spheres)
+    assert found.shape == (200, 3, 2, 3)
+    points = links[:, None] + np.linspace(0, TIP, 4001)[:, None, None] * (palms - links)[:, None]  # (n, 4001, k, 3)
+    for i in range(3):
+        gap = spheres[:, i, None, None, :3] - points
+        distance = np.linalg.norm(gap, axis=3)
+        nearest = distance.argmin(axis=1)[:, None]
+        least = np.take_along_axis(distance, nearest, axis=1)[:, 0]
+        length = np.linalg.norm(found[:, i], axis=2)
+        assert length == pytest.approx(np.clip(1 - (least - spheres[:, i, None, 3]) / NEAR, 0, None), abs=1e-5)
+        direction = np.take_along_axis(gap, nearest[..., None], axis=1)[:, 0] / least[..., None]
+        assert found[:, i] == pytest.approx(direction * length[..., None], abs=2e-3)
+    assert (length == 0).any()
+    assert (length > 1).any()
+
+
+def test_nearness_is_touch_in_the_simulation():
+    env = BatchEnv(SCENES["spheres"], EnvConfig(), n=1, threads=1)
+    one = np.array([0])
+    touched = 0
+    for index in range(40):
+        env.reset(one, [env.problem(seed=7, split="train", index=index)])
+        for _ in range(25):
+            outcome = env.step(np.full((1, 13), 0.8, np.float32), one)
+            length = np.linalg.norm(env.task.view.physical(env.state, "nearness").reshape(-1, 3), axis=1)
+            geoms = {env.task.model.geom(int(row[side])).name for row in outcome.contacts[0] for side in ("geom1", "geom2")}
+            if any("forearm" in name for name in geoms) and any("sphere" in name for name in geoms):
+                touched += 1
+                assert length.max() > 0.85, "the forearm's own radius is 2 cm of 20"
+            if outcome.terminated[0] or outcome.truncated[0]:
+                break
+    assert touched > 0
+
+
+def test_only_scenes_with_spheres_have_nearness():
+    assert "nearness" not in view(config=ALL).places
+    assert len(view(spheres=3).names[view(spheres=3).places["nearness"]]) == 3 * 2 * 3
