@@ -15,18 +15,39 @@ if TYPE_CHECKING:
 SUFFIX = ".safetensors"
 FILES = ("best", "policy")
 """What a run folder may hold, in order of preference."""
+DEFAULT_SCENE = "table"
+PRETRAINED = "pretrained"
+SHIPPED = Path(__file__).parents[1] / "policies"
+"""Policies that come with the package, SCENE.safetensors, and beside each its card, SCENE.json."""
 
 
-def policy_file(name: str) -> Path | None:
-    """The file that a name means: a policy file, one without its suffix, or a run folder; None for a scripted policy's name.
+def pretrained(scene: str) -> Path:
+    """The policy file that ships for a scene.
 
     Raises:
-        ConfigError: if the name is neither.
+        ConfigError: if none does.
+    """
+    file = SHIPPED / f"{scene}{SUFFIX}"
+    if not file.is_file():
+        names = ", ".join(sorted(path.stem for path in SHIPPED.glob(f"*{SUFFIX}")))
+        raise ConfigError(f"no policy ships for scene '{scene}'; one does for: {names}; others come from `coordlog train`")
+    return file
+
+
+def policy_file(name: str, scene: str) -> Path | None:
+    """The file that a name means: a policy file, one without its suffix, a run folder, or the scene's shipped policy.
+
+    None for a scripted policy's name.
+
+    Raises:
+        ConfigError: if the name is none of these.
     """
     from coordlog.scripted import SCRIPTED
 
     if name in SCRIPTED:
         return None
+    if name == PRETRAINED:
+        return pretrained(scene)
     path = Path(name)
     candidates = [path, path.with_name(path.name + SUFFIX), *(path / f"{file}{SUFFIX}" for file in FILES)]
     for candidate in candidates:
@@ -34,7 +55,7 @@ def policy_file(name: str) -> Path | None:
             return candidate
     if "/" in name or path.exists():
         raise ConfigError(f"{name}: expected a policy file or a run folder with {FILES[0]}{SUFFIX}, found none")
-    raise unknown("policy", name, [*SCRIPTED, "a run folder or policy file"])
+    raise unknown("policy", name, [*SCRIPTED, PRETRAINED, "a run folder or policy file"])
 
 
 def about(file: Path) -> Json:
@@ -59,7 +80,7 @@ def make_policy(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
     from coordlog.scripted import scripted
     from coordlog.train.policy import Policy as Trained
 
-    file = policy_file(name)
+    file = policy_file(name, env.scene.name)
     if file is None:
         return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
     trained = Trained.load(file)
@@ -69,4 +90,5 @@ def make_policy(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
             raise SpecError(
                 f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{trained.about['scene']}'"
             )
-    return trained, {"kind": "digrad", "name": str(file), "checkpoint_sha256": file_digest(file)}
+    said = f"{PRETRAINED}/{env.scene.name}" if name == PRETRAINED else str(file)
+    return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": file_digest(file)}

@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.environment import make_env, read_toml
-from coordlog.commands.policies import about, make_policy, policy_file
+from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def record(
     scene: Annotated[str, typer.Option(help="free, spheres, table, shelf or planar; by default the policy's own, or table.")] = "",
-    policy: Annotated[str, typer.Option(help="expert, random, still, or a run folder or policy file.")] = "expert",
+    policy: Annotated[str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")] = "expert",
     episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
@@ -45,6 +45,8 @@ def record(
 
         coordlog record --scene shelf --episodes 512 --noise 0.15 --out logs/shelf
 
+        coordlog record --scene shelf --policy pretrained --split test
+
         coordlog record --policy runs/table/best --split test --episodes 200 --out logs/evaluation
     """
     from coordlog.record.recorder import Recorder
@@ -52,9 +54,9 @@ def record(
     from coordlog.scoring import Scoreboard
     from coordlog.scripted import with_noise
 
-    file = policy_file(policy)
+    file = policy_file(policy, scene or DEFAULT_SCENE)
     trained = about(file) if file else {}
-    scene = scene or trained.get("scene", "table")
+    scene = scene or trained.get("scene", DEFAULT_SCENE)
     tables = read_toml(config) if config else {}
     env = make_env(scene, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
     chosen, described = make_policy(policy, env)

@@ -39,9 +39,12 @@ class EnvConfig:
     """Start angles are the start pose ± this much [rad], uniform."""
     state_extras: tuple[str, ...] = ("difference", "com")
     """What the policy sees beyond the paper's state: any of "difference" (palm to goal), "com", "velocity"."""
+    locked: tuple[str, ...] = ()
+    """Action joints that their servos hold at the start angle, whatever the action: state, action and problems stay the same."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state_extras", tuple(self.state_extras))
+        object.__setattr__(self, "locked", tuple(self.locked))
         for name in ("control_period", "speed", "shared_speed", "goal_radius", "boundary_radius", "tilt"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)}")

@@ -43,7 +43,8 @@ class Drive:
     def action_to(self, target: Array) -> Array:
         """The action that brings the targets to `target` (n_u,) in one control period, or as near as an action can, (n_u,) float32."""
         config = self._task.config
-        velocity = (target - self.target) / (self._task.speeds * config.control_period)
+        step = self._task.speeds * config.control_period
+        velocity = np.divide(target - self.target, step, out=np.zeros(len(step)), where=step > 0)  # a locked joint stays
         action = (velocity - config.smoothing * self._velocity) / (1.0 - config.smoothing)
         return np.asarray(np.clip(action, -1.0, 1.0).astype(np.float32))
 

@@ -20,14 +20,14 @@ GAIN_STEPS = 4.0
 """An error is meant to be gone after this many steps at the speed it asks for; fewer would overshoot behind the command filter."""
 ARRIVED = 0.15
 """A way point is passed within this distance of every joint [rad]."""
-NEAR = 0.12
+NEAR = 0.06
 """Palm correction starts within this distance of the last way point [rad]."""
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
-CLEARANCES = (0.01, 0.0)
+CLEARANCES = (0.03, 0.02, 0.01, 0.0)
 RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
-TRIES = 12
+TRIES = 60
 """Random changes to the via poses when no known way is free."""
 SPREAD = 0.35
 """Standard deviation of the random changes to the via poses when no known way is free [rad]."""
@@ -40,6 +40,8 @@ class Plan:
     points: list[Array]
     goals: Array
     bias: Array
+    held: Array | None
+    """Angles of locked joints, NaN for the others; None where all move."""
     at: int = 0
 
 
@@ -56,7 +58,8 @@ class Expert:
         """
         self._task, self._reach = task, reach
         self._plans: list[Plan | None] = [None] * n
-        self._step = task.speeds * task.config.control_period  # (n_u,) rad per step at action 1
+        self._moves = ~task.locked  # (n_u,) bool
+        self._step = np.where(self._moves, task.speeds * task.config.control_period, 1.0)  # (n_u,) rad per step at action 1
         self._ways = _ways(task)
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
@@ -67,7 +70,8 @@ class Expert:
         for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
             self._reach.place(obstacle.reshape(-1, 4))
             targets = np.asarray(goal.reshape(-1, 3))
-            self._plans[slot] = Plan(self._way(start, targets, rng), targets, np.zeros_like(targets))
+            held = None if self._moves.all() else np.where(self._moves, np.nan, start)
+            self._plans[slot] = Plan(self._way(start, targets, rng, held), targets, np.zeros_like(targets), held)
 
     def act(self, ids: Array, state: Array) -> Array:
         """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
@@ -83,45 +87,47 @@ class Expert:
         return action
 
     def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
-        """Error to the present way point [rad]; passes way points and corrects the last one."""
-        error = np.asarray(plan.points[plan.at] - angles)
+        """Error of the joints that move to the present way point [rad]; passes way points and corrects the last one."""
+        error = np.asarray(plan.points[plan.at] - angles) * self._moves
         while plan.at + 1 < len(plan.points) and np.abs(error).max() < ARRIVED:
             plan.at += 1
-            error = plan.points[plan.at] - angles
+            error = (plan.points[plan.at] - angles) * self._moves
         if plan.at + 1 == len(plan.points) and np.abs(error).max() < NEAR:
             plan.bias += CORRECTION * (plan.goals - palms)
-            corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1])
+            corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1], held=plan.held)
             if corrected is not None:
                 plan.points[-1] = corrected
-                error = corrected - angles
+                error = (corrected - angles) * self._moves
         return error
 
-    def _way(self, start: Array, goals: Array, rng: np.random.Generator) -> list[Array]:
+    def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None) -> list[Array]:
         """The first way that keeps its distance from everything; the known ways first, then random changes to them."""
-        ends = self._ends(goals, rng)
+        ends = self._ends(goals, rng, held)
+        ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
         for clearance in CLEARANCES:
             for end in ends:
-                for vias in self._ways:
+                for vias in ways:
                     if self._clear([start, *vias, end], clearance):
                         return [*vias, end]
         low, high = self._task.limits.T
+        spread = SPREAD * self._moves * self._step / self._step.max()  # a slow spine's detour would take the whole episode
         for _ in range(TRIES):
-            vias = [np.clip(via + SPREAD * rng.standard_normal(len(via)), low, high) for via in self._ways[0]]
+            vias = [np.clip(via + spread * rng.standard_normal(len(via)), low, high) for via in ways[0]]
             for end in ends:
                 if self._clear([start, *vias, end], CLEARANCES[-1]):
                     return [*vias, end]
-        return [*self._ways[0], ends[0]]
+        return [*ways[0], ends[0]]
 
-    def _ends(self, goals: Array, rng: np.random.Generator) -> list[Array]:
+    def _ends(self, goals: Array, rng: np.random.Generator, held: Array | None) -> list[Array]:
         """Legal postures with the palms on the goals, as different as their seeds; the start posture if there is none."""
         seeds = [way[-1] for way in self._ways if way]
-        found = [self._reach.solve(goals, seed=seed) for seed in seeds] + [self._reach.solve(goals)]
+        found = [self._reach.solve(goals, seed=seed, held=held) for seed in seeds] + [self._reach.solve(goals, held=held)]
         legal = [end for end in found if end is not None]
         for _ in range(RESTARTS if not legal else 0):
-            end = self._reach.solve(goals, seed=np.asarray(rng.uniform(*self._task.limits.T)))
+            end = self._reach.solve(goals, seed=np.asarray(rng.uniform(*self._task.limits.T)), held=held)
             if end is not None:
                 return [end]
-        return legal or [self._reach.standing_angles]
+        return legal or [self._reach.standing_angles if held is None else np.where(self._moves, self._reach.standing_angles, held)]
 
     def _clear(self, points: list[Array], clearance: float) -> bool:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))

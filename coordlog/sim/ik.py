@@ -105,31 +105,34 @@ class Reach:
         count = max(int(np.ceil(np.abs(end - start).max() / RESOLUTION)), 1)
         return not any(self.touches(start + (end - start) * (i / count), clearance=clearance) for i in range(1, count + 1))
 
-    def solve(self, goals: Array, *, seed: Array | None = None, clearance: float = 0.0) -> Array | None:
+    def solve(self, goals: Array, *, seed: Array | None = None, held: Array | None = None, clearance: float = 0.0) -> Array | None:
         """Legal joint angles with every palm on its goal, or None.
 
         Args:
             goals: Goal of each palm, shape (k, 3) [m].
             seed: Angles to start from and stay near, shape (n_u,); without it the robot's named poses, one after another.
+            held: Angles of joints that do not move, shape (n_u,), NaN for those that do; None: all do.
             clearance: Distance kept from obstacles, at most MARGIN [m].
         """
         for start in self._seeds if seed is None else [seed]:
-            angles = self.descend(goals, start)
+            angles = self.descend(goals, start, held=held)
             if angles is not None and self.legal(angles, clearance=clearance):
                 return angles
         return None
 
-    def descend(self, goals: Array, seed: Array) -> Array | None:
-        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search does not get there."""
+    def descend(self, goals: Array, seed: Array, *, held: Array | None = None) -> Array | None:
+        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search does not get there. `held` as in `solve`."""
+        moves = np.ones(len(seed), dtype=bool) if held is None else np.isnan(held)
+        seed = seed if held is None else np.where(moves, seed, held)
         angles = np.clip(seed, self.limits[:, 0], self.limits[:, 1])
         identity = DAMPING**2 * np.eye(goals.size)
         for _ in range(ITERATIONS):
             gap = (goals - self.palms(angles)).ravel()
             if np.abs(gap).max() < TOLERANCE:
                 return angles
-            J = self._palm_jacobian() / self._effort  # (3k, n_u), in joint coordinates weighted by effort
+            J = self._palm_jacobian() * moves / self._effort  # (3k, n_u), in joint coordinates weighted by effort
             inverse = np.linalg.solve(J @ J.T + identity, np.column_stack([gap, J]))
-            posture = POSTURE * (seed - angles) * self._effort
+            posture = POSTURE * (seed - angles) * self._effort * moves
             step = (J.T @ inverse[:, 0] + posture - J.T @ (inverse[:, 1:] @ posture)) / self._effort
             step *= min(1.0, STEP / max(np.abs(step).max(), 1e-12))
             angles = np.clip(angles + step, self.limits[:, 0], self.limits[:, 1])

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.errors import ConfigError
+from coordlog.errors import ConfigError, unknown
 from coordlog.sim import balance
 from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.robot import Robot
@@ -48,7 +48,11 @@ class Task:
         self.servos: Array = np.array(servos)
         self.limits: Array = np.array([joint.range for joint in joints])  # (n_u, 2) rad
         shared = [name in robot.shared and bool(robot.soles) for name in robot.action_joints]
-        self.speeds: Array = np.where(shared, config.shared_speed, config.speed)  # (n_u,) rad/s at action 1
+        for name in config.locked:
+            if name not in robot.action_joints:
+                raise unknown("locked joint", name, robot.action_joints)
+        self.locked: Array = np.isin(robot.action_joints, config.locked)  # (n_u,) bool
+        self.speeds: Array = np.where(shared, config.shared_speed, config.speed) * ~self.locked  # (n_u,) rad/s at action 1
         self.view = state_view(robot, self.limits, spheres=self.n_spheres, config=config)
         if robot.soles:
             self._com = self._sensors(["com"])

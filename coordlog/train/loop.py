@@ -70,6 +70,7 @@ class Trainer:
         self.task, self.settings, self.folder, self.source = task, settings, folder, source
         self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
         loop, replay = settings.loop, settings.replay
+        _require_device(device)
         if source is not None and loop.steps == 0:
             raise ConfigError("loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone")
         if source is None and loop.updates == 0:
@@ -81,7 +82,7 @@ class Trainer:
             raise SpecError(f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state")
         self.log_transitions = 0 if store is None else len(store)
         self.buffer = None if source is None else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
-        self.replay = MixedReplay(replay, reward=task.reward, view=task.view, logs=store, live=self.buffer, device=device)
+        self.replay = MixedReplay(replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device)
         bounds = value_bounds(task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest)
         mask = gradient_mask(task.arms, task.n_u)
         self.learner = Learner(
@@ -134,11 +135,7 @@ class Trainer:
         event = self._write_training_row() if self._tally.count > 0 else None
         if event is not None:
             return self._end("diverged", event)
-        if (
-            self.hooks.evaluate is not None
-            and self.settings.loop.evaluate_every > 0
-            and self.updates % self.settings.loop.evaluate_every != 0
-        ):
+        if self.settings.loop.evaluate_every > 0 and self._evaluated != self.updates:
             self._evaluate()
         return self._end("finished")
 
@@ -296,3 +293,14 @@ class Trainer:
         self._evaluated = meta["evaluated"]
         self._rng = generator_from_json(meta["generators"][0])
         self._noise.load_state(meta["generators"][1], under("noise.", arrays))
+
+
+def _require_device(name: str) -> None:
+    """Refuse a device that networks cannot be put on."""
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(
+            f"device: expected cpu, or another that this machine and this build of torch have, got '{name}': {reason}"
+        ) from error

@@ -52,7 +52,8 @@ def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
     ("args", "said"),
     [
         (("--scene", "tabel"), "unknown scene 'tabel'; choose one of: free, planar, shelf, spheres, table"),
-        (("--policy", "exprt"), "unknown policy 'exprt'; choose one of: a run folder or policy file, expert, random, still"),
+        (("--policy", "exprt"), "unknown policy 'exprt'; choose one of: a run folder or policy file, expert, pretrained, random, still"),
+        (("--scene", "planar", "--policy", "pretrained"), "no policy ships for scene 'planar'; one does for: "),
         (("--split", "val"), "unknown split 'val'; choose one of: test, train"),
         (("--start", "sit"), "unknown start pose 'sit'; choose one of: home, neutral, stand"),
         (("--noise-correlation", "1", "--noise", "1"), "correlation in [0, 1)"),

@@ -9,11 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from coordlog.cli import app
+from coordlog.commands.training import Judge
 from coordlog.errors import CoordlogError
 from coordlog.record.dataset import open as open_logs
+from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
+from coordlog.train.networks import Actor
+from coordlog.train.policy import Policy
+from coordlog.train.run import require_same
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
 SMALL = ["--set", "network.hidden=[32,32]", "--set", "replay.batch=32", "--eval-episodes", "4", "--envs", "4"]
@@ -84,18 +90,33 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
     coordlog(cache, "check", tmp_path / "parts" / "episodes", "--jobs", "1", wanted=0)
 
 
+def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
+    actor = Actor(35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0))
+    policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
+    found = []
+    for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
+        judge = Judge("planar", {"env": {"max_steps": 3}}, None, tmp_path, run=name, episodes=2)
+        found.append(judge(chosen, 40))
+    assert found[0] == found[1] == found[2]
+    episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
+    assert len(episodes) == 4, "two of each run, however often it was resumed"
+    assert len({episode.header.episode["id"] for episode in episodes}) == 4
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [
         (("--from", "nowhere"), "no such file or folder"),
+        (("--from", Path(__file__).parent), "found none"),
         (("--from", FIXTURES), "layouts"),
+        (("--from", FIXTURES / "table", "--scene", "planar"), "got (33, 13, 2); they are of another robot"),
         (("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"), "logs of several scenes (shelf, table)"),
         (("--from", FIXTURES / "table", "--where", "cleen"), "--where: expected an SQL condition over"),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
-        (("--scene", "planar", "--steps", "64", "--resume"), "no run to resume"),
+        (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
     ],
 )
 def test_bad_input_is_refused_with_a_sentence(
@@ -106,7 +127,7 @@ def test_bad_input_is_refused_with_a_sentence(
         app(["train", *map(str, args), "--out", str(tmp_path / "run"), "--jobs", "1"], standalone_mode=False)
     assert said in str(refusal.value)
     assert refusal.value.exit_code == 2
-    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+    assert not (tmp_path / "run" / "run.json").exists(), "the folder is still free for the corrected command"
 
 
 def test_a_run_is_not_overwritten_and_not_resumed_as_another(cache: Path, logs: Path, tmp_path: Path) -> None:
@@ -115,6 +136,29 @@ def test_a_run_is_not_overwritten_and_not_resumed_as_another(cache: Path, logs: 
     coordlog(cache, "train", *small)
     assert "holds a run already" in coordlog(cache, "train", *small, wanted=2).stderr
     assert "its seed was 0 and is now 1" in coordlog(cache, "train", *small, "--seed", "1", "--resume", wanted=2).stderr
+    other = {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.2}}}
+    with pytest.raises(CoordlogError, match=r"its env\.config\.tilt was 1\.2 and is now 1\.5"):
+        require_same(other, {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.5}}}, folder=run)
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    cache: Path, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    run = tmp_path / "run"
+    small = ["train", "--from", str(logs), "--updates", "10", "--eval-every", "10", *SMALL, "--out", str(run)]
+    app(small, standalone_mode=False)
+    first = [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)]
+    episodes = sorted(run.rglob("*.mcap"))
+    for name in ("checkpoint", "policy", "best"):
+        (run / f"{name}.safetensors").unlink()
+    with pytest.raises(CoordlogError, match=r"behaviour\.weight was .* and is now 1\.0"):
+        app([*small, "--resume", "--set", "behaviour.weight=1.0"], standalone_mode=False)
+    app([*small, "--resume"], standalone_mode=False)
+    assert "begins again" in capsys.readouterr().err
+    assert [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)] == first
+    assert sorted(run.rglob("*.mcap")) == episodes
+    assert (run / "checkpoint.safetensors").exists()
 
 
 def test_a_broken_log_is_named_and_left_out_when_asked(cache: Path, logs: Path, tmp_path: Path) -> None:
@@ -123,4 +167,4 @@ def test_a_broken_log_is_named_and_left_out_when_asked(cache: Path, logs: Path, 
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:9000])
     small = ["--from", tmp_path, "--updates", "10", "--eval-every", "0", *SMALL]
     assert "cut.mcap" in coordlog(cache, "train", *small, "--out", tmp_path / "a", wanted=2).stderr
-    assert "cut.mcap" in coordlog(cache, "train", *small, "--skip-broken", "--out", tmp_path / "b").stderr
+    assert "cut.mcap" in coordlog(cache, "train", *small, "--skip-broken", "--out", tmp_path / "b", wanted=3).stderr

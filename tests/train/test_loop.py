@@ -85,6 +85,18 @@ def test_a_stopped_run_continues_as_if_it_had_not_been(kind: str, rounds: int, t
     assert all(np.array_equal(best[0][name], best[1][name]) for name in best[1])
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_finished_run_has_nothing_left_to_do(kind: str, tmp_path: Path) -> None:
+    assignments, logs, live = KINDS[kind]
+    wanted = settings(*assignments, "loop.evaluate_every=9")
+    first = trainer(tmp_path, wanted, logs=logs, live=live).run()
+    rows, saved = metrics(tmp_path), weights(tmp_path)
+    assert trainer(tmp_path, wanted, logs=logs, live=live).run(resume=True) == first
+    assert (metrics(tmp_path), weights(tmp_path)) == (rows, saved)
+    evaluated = [row["update"] for row in rows if row["kind"] == "evaluation"]
+    assert evaluated == sorted(set(evaluated)), "the last one once, whether or not it was due"
+
+
 class KilledError(Exception):
     """Stands for kill -9: nothing is cleaned up."""
 
@@ -242,6 +254,8 @@ def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path:
         trainer(folder, settings(*BOTH), live=True)
     with pytest.raises(SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"):
         Trainer(replace(toy.task(), n_x=19), settings(*LOGS), folder=folder, logs=toy.logs(3))
+    with pytest.raises(ConfigError, match=r"device: expected cpu, .* got 'tpu0'"):
+        Trainer(toy.task(), settings(*LOGS), folder=folder, logs=toy.logs(3), device="tpu0")
     assert not folder.exists()
 
 
