@@ -90,8 +90,11 @@ class Outcome:
     @property
     def why(self) -> str:
         """What makes it worth a look, in a few words."""
+        touched = f"{self.collisions} steps of collision"
+        if self.kind == "success with collision":
+            return touched
         when = f"after {self.seconds:.2f} s" if self.kind in ("aborted", "fell") else f"{self.worst * 100:.1f} cm off"
-        return f"{when}, {self.collisions} steps of collision" if self.collisions else when
+        return f"{when}, {touched}" if self.collisions else when
 
 
 def kind(episode: Episode) -> str:
