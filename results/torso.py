@@ -1,6 +1,6 @@
 """Is the articulated torso of use? The same problems with the five joints of the spine held by their servos.
 
-    python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
+python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
 """
 
 from __future__ import annotations
@@ -58,7 +58,15 @@ def measure(scene: str, *, episodes: int = EPISODES) -> tables.Table:
 
 def section(found: Tables) -> str:
     """What the spine is worth, scene by scene."""
-    names = ("scene", "posture exists, torso free", "torso locked", "expert clean, free", "locked", "DiGrad from logs clean, free", "locked")
+    names = (
+        "scene",
+        "posture exists, torso free",
+        "torso locked",
+        "expert clean, free",
+        "locked",
+        "DiGrad from logs clean, free",
+        "locked",
+    )
     lines = cells.head(*names)
     for scene in tables.SCENES:
         reach = found.get(f"{scene}-reach")
@@ -71,10 +79,10 @@ def section(found: Tables) -> str:
 
 ABOUT = """## Torso free, torso locked
 
-The same problems, drawn where the robot reaches with its spine, with `locked` naming the spine's five joints in `[env]` (results/locked.toml): their servos
-hold the start angles, state and action keep their shape. *Posture exists*: inverse kinematics finds a posture that touches nothing, keeps the centre of mass
-over the feet, and has both palms on their goals to 2 mm, from the named poses and {restarts} random ones. The locked policy learnt from 512 logs of the locked
-expert.
+The same problems, drawn where the robot reaches with its spine, with `locked` naming the spine's five joints in `[env]`
+(results/locked.toml): their servos hold the start angles, state and action keep their shape. *Posture exists*: inverse kinematics finds
+a posture that touches nothing, keeps the centre of mass over the feet, and has both palms on their goals to 2 mm, from the named poses
+and {restarts} random ones. The locked policy learnt from 512 logs of the locked expert.
 
 """
 

@@ -121,7 +121,7 @@ class Reach:
         return None
 
     def descend(self, goals: Array, seed: Array, *, held: Array | None = None) -> Array | None:
-        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search does not get there. `held` as in `solve`."""
+        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search fails. `held` as in `solve`."""
         moves = np.ones(len(seed), dtype=bool) if held is None else np.isnan(held)
         seed = seed if held is None else np.where(moves, seed, held)
         angles = np.clip(seed, self.limits[:, 0], self.limits[:, 1])
