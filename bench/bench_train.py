@@ -33,8 +33,9 @@ from coordlog.train.gradients import gradient_mask
 from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.networks import Actor
 from coordlog.train.policy import Policy
-from coordlog.train.replay import Arrays, MixedReplay
+from coordlog.train.replay import Arrays, MixedReplay, transitions
 from coordlog.train.settings import PRESETS, Settings
+from coordlog.train.task import Task
 
 N_X, N_U, EPISODE = 39, 13, 150
 ARMS = {"left": list(range(9)), "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
@@ -112,7 +113,7 @@ def digrad(settings: Settings, size: int, *, tasks: int = 2) -> Callable[[], obj
         return torch.randn(size, width, generator=generator)
 
     ones = torch.ones(size, 1)
-    batch = Batch(numbers(N_X), numbers(N_U).clamp(-1, 1), numbers(tasks), numbers(N_X), 0 * ones, ones)
+    batch = Batch(numbers(N_X), numbers(N_U).clamp(-1, 1), numbers(tasks), numbers(N_X), 0.98 * ones, ones)
     return lambda: learner.update(batch, behaviour_weight=1.0)
 
 
@@ -171,7 +172,12 @@ def batches(rows: int) -> Iterator[Row]:
         yield row(f"batch of 256 from memory-mapped columns of {rows:,} steps", seconds["ours"] / count * 1e6, "us")
         yield row("batch of 256 from tensors in memory", seconds["memory"] / count * 1e6, "us")
         yield row("shuffled batches: speed against tensors in memory", seconds["memory"] / seconds["ours"], "x", "≥ 0.9")
-        replay, rng = MixedReplay(PRESETS["default"].replay, reward=reward, logs=store), np.random.default_rng(0)
+        replay, rng = (
+            MixedReplay(
+                replace(PRESETS["default"].replay, hindsight=0.0), Task(N_X, N_U, ARMS, reward, farthest=0.8), gamma=0.98, logs=store
+            ),
+            np.random.default_rng(0),
+        )
         drawn = taking_turns({"sample": lambda: replay.sample(rng)}, repeat=500)
         yield row("a drawn batch of 256 as tensors, rewards and marks included", drawn["sample"] * 1e6, "us")
         yield row(f"peak resident memory with {rows:,} steps, once mapped and once in memory", resident, "GB", "< 4")
@@ -213,8 +219,8 @@ def in_memory(columns: Columns) -> list[torch.Tensor]:
 
 def epoch(store: LogReplay, shuffled: Array) -> None:
     for start in range(0, len(shuffled), 256):
-        out = Arrays(*(np.empty((256, width), np.float32) for width in (N_X, N_U, 2, N_X, 1)))
-        store.read(shuffled[start : start + 256], out)
+        out = Arrays.empty(256, (N_X, N_U, 2))
+        transitions(store, shuffled[start : start + 256], out, n=1, gamma=0.98)
         for array in out:
             torch.from_numpy(array)
 

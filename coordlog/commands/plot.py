@@ -12,23 +12,51 @@ from coordlog.errors import ConfigError, SpecError
 
 
 def plot(
-    path: Annotated[list[Path], typer.Argument(help="An episode file; more of the same robot are drawn pale behind it.")],
-    out: Annotated[Path, typer.Option(help="File to write: .png, .pdf or .svg.")] = Path("joints.png"),
+    path: Annotated[list[Path], typer.Argument(help="An episode file, more of the same robot pale behind it; or run folders.")],
+    out: Annotated[Path | None, typer.Option(help="File to write: .png, .pdf or .svg; by default joints.png or curves.png.")] = None,
+    against: Annotated[str, typer.Option(help="Of runs: episodes, updates or steps; by default episodes if all are live.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
 ) -> None:
-    """Draw joint angles and hand paths of an episode; of a smoothed one the knots, the spline, and p of each joint.
+    """Draw an episode, or how runs learnt.
+
+    An episode: joint angles and hand paths; of a smoothed one the knots, the spline, and p of each joint. Runs: score, success and
+    clean success, mean and standard deviation over the runs that differ in nothing but the seed, a row of panels for each scene.
 
     Examples:
 
         coordlog plot smoothed/table-train-s0-000003-1f2e3d4c.mcap --out joints.png
 
         coordlog plot smoothed/NAME.mcap logs/NAME.mcap --out both.pdf
+
+        coordlog plot runs/free-live-s0 runs/free-live-s1 runs/free-live-s2 --out curves.png
     """
+    missing = [item for item in path if not item.exists()]
+    if missing:
+        raise ConfigError(f"{missing[0]}: expected an episode file or a run folder, found nothing of that name")
     folders = [item for item in path if item.is_dir()]
+    if folders and len(folders) < len(path):
+        raise ConfigError(f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart")
     if folders:
-        raise ConfigError(f"{folders[0]}: expected an episode file, got a folder; name one file in it")
-    _joints(path, out, force=force)
-    terminal.out.print(str(out), highlight=False, markup=False, soft_wrap=True)
+        target = out or Path("curves.png")
+        _curves(folders, target, against=against, force=force)
+    elif against:
+        raise ConfigError(f"--against: expected run folders, got the episode {path[0]}")
+    else:
+        target = out or Path("joints.png")
+        _joints(path, target, force=force)
+    terminal.out.print(str(target), highlight=False, markup=False, soft_wrap=True)
+
+
+def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> None:
+    """The figure of some runs."""
+    for folder in folders:
+        if not (folder / "run.json").exists():
+            raise ConfigError(
+                f"{folder}: expected an episode file or a run folder, got a folder without run.json; name one file or run in it"
+            )
+    from coordlog.commands.curves import draw_curves
+
+    draw_curves(folders, out, against=against, force=force)
 
 
 def _joints(paths: list[Path], out: Path, *, force: bool) -> None:

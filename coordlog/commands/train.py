@@ -46,6 +46,7 @@ def train(
     device: Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")] = "cpu",
     skip_broken: Annotated[bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")] = False,
     jobs: Annotated[int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")] = 0,
+    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard event files into the run folder.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Watch in rerun: losses, held-out figures, the latest evaluation.")] = False,
 ) -> None:
     """Learn to reach with DiGrad; every live and every evaluation episode is recorded.
@@ -61,6 +62,7 @@ def train(
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import Judge, Progress, assemble, record_training, require_window, watch
+    from coordlog.train.events import EventFiles, require_tensorboard
     from coordlog.train.task import Hooks
 
     given = {
@@ -84,14 +86,17 @@ def train(
     said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
     if view:
         require_window()
+    if tensorboard:
+        require_tensorboard()
     run = _begin(folder, said, logs, resume=resume)
     if like and like["reward"] != said["env"]["reward"]:
         terminal.note("rewards are recomputed from logged distances and flags: the logs were recorded with other constants")
     with ExitStack() as stack:
         interrupted = stack.enter_context(terminal.interruptible())
         window = stack.enter_context(watch(folder.name)) if view else None
-        show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window)
-        judge = Judge(scene, around, like, folder, episodes=eval_episodes, window=window)
+        events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
+        show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events)
+        judge = Judge(scene, around, like, folder, run=run, episodes=eval_episodes, window=window)
         recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
         hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,10 +12,12 @@ from rich.progress import Progress as Bar
 
 from coordlog.commands.environment import make_env
 from coordlog.record.cache import Logs
+from coordlog.record.dataset import SUFFIX
 from coordlog.record.reader import read_attachments, read_episode
-from coordlog.record.recorder import Finished, Recorder
+from coordlog.record.recorder import Recorder
 from coordlog.scoring import evaluate, figures
 from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.events import EventFiles
 from coordlog.train.live import Simulations
 from coordlog.train.logs import Columns
 from coordlog.train.loop import Trainer
@@ -43,23 +46,24 @@ class Judge:
     """Evaluates a policy on held-out problems; the episodes are recorded like any other."""
 
     def __init__(
-        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, episodes: int, window: Live | None = None
+        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, run: str, episodes: int, window: Live | None = None
     ) -> None:
-        self._window = window
+        self._run, self._window = run, window
         self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like)
         self._folder, self._episodes = folder, episodes
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float]:
-        """Figures of merit after so many updates; see `scoring.figures`."""
+        """Figures of merit after so many updates; see `scoring.figures`. What a killed run had recorded of them is not recorded twice."""
         said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
         folder = self._folder / "episodes" / f"eval-{updates:07d}"
-        done: list[Finished] = []
-        with Recorder(self._env, folder, policy=said, display=False, finished=done.append) as recorder:
+        weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
+        run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
+        with Recorder(self._env, folder, policy=said, display=False, run=run) as recorder:
             scores = evaluate(recorder, policy, episodes=self._episodes, k=self._env.layout.k, seed=SEED)
         if self._window is not None:
             from coordlog.view.show import Show
 
-            paths = [item.path for item in done]
+            paths = sorted(folder.glob(f"*{SUFFIX}"))
             self._window.evaluation(updates, [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths])
         return figures(scores)
 
@@ -86,10 +90,10 @@ def watch(name: str) -> Iterator[Live]:
 
 
 class Progress:
-    """A bar over the budget, with the latest figures."""
+    """A bar over the budget, with the latest figures; hands them on to whoever else wants them."""
 
-    def __init__(self, bar: Bar, scene: str, settings: Settings, window: Live | None = None) -> None:
-        loop, self._window = settings.loop, window
+    def __init__(self, bar: Bar, scene: str, settings: Settings, *, window: Live | None = None, events: EventFiles | None = None) -> None:
+        loop, self._window, self._events = settings.loop, window, events
         self._bar, self._by_steps = bar, loop.updates == 0
         self._task = bar.add_task(f"training {scene}", total=loop.steps if self._by_steps else loop.updates, note="")
         self._note: dict[str, str] = {}
@@ -102,6 +106,8 @@ class Progress:
             rate = f"{float(row['updates_per_second'] or 0):.0f} updates/s"
             live = f", {float(row['steps_per_second'] or 0):,.0f} steps/s" if row["step"] else ""
             self._note["speed"] = rate + live
+        if self._events is not None:
+            self._events(row)
         if self._window is not None:
             self._window.figures(int(row["update"] or 0), curves(row))
         done = row["step"] if self._by_steps else row["update"]

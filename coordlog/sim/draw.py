@@ -21,6 +21,9 @@ ATTEMPTS = 200
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal beyond the palm's own size."""
 PALM_RADIUS = 0.02
+MIDDLE = 0.5
+"""Goals that are a random posture's palms: the share of every joint's range, around its middle, that the posture is drawn from. Over the
+whole range most postures are only reached by way of others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +85,8 @@ class Draw:
 
     def _goals(self, rng: np.random.Generator) -> tuple[Array, Array | None]:
         if self._scene.object_box is None:  # a goal of its own for every arm: where a random posture puts the palms
-            return self.reach.palms(rng.uniform(self.reach.limits[:, 0], self.reach.limits[:, 1])), None
+            middle, half = self.reach.limits.mean(axis=1), np.ptp(self.reach.limits, axis=1) / 2
+            return self.reach.palms(rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half)), None
         centre = _inside(rng, self._scene.object_box)
         sides = np.array([self._scene.palm_offset, -self._scene.palm_offset])
         return np.stack([centre + np.array([0.0, side, 0.0]) for side in sides]), centre

@@ -33,6 +33,7 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         reward=reward_function(reward or from_mapping(RewardConfig, env["reward"])),
         farthest=FARTHEST * env["robot"]["reach"],
         view=goal_view(env),
+        spheres=StateView.from_json(env).places.get("spheres"),
     )
 
 

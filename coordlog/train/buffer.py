@@ -15,7 +15,6 @@ from coordlog.episode import Array
 from coordlog.errors import ConfigError, StorageError
 from coordlog.train.checkpoint import load_arrays, save_arrays
 from coordlog.train.relabel import RewardFunction, draw_later
-from coordlog.train.replay import Arrays
 
 SEGMENT = "coordlog replay segment"
 
@@ -67,6 +66,7 @@ class ReplayBuffer:
             "collision": np.zeros(shape, np.bool_),
             "instability": np.zeros(shape, np.bool_),
             "terminated": np.zeros(shape, np.bool_),
+            "mishaps": np.zeros(shape, np.int32),  # collisions and falls of the lane so far, this step's included
             "episode": np.zeros(shape, np.int32),
             "step": np.zeros(shape, np.int32),
         }
@@ -89,7 +89,9 @@ class ReplayBuffer:
         flat = {name: array.reshape(n * self.lanes, *array.shape[2:]) for name, array in block._asdict().items()}
         reward = self._reward(flat["distance"], flat["boundary"], flat["goal"], flat["collision"], flat["instability"])
         slots = (self.total + np.arange(n)) % self.slots
-        values = {**block._asdict(), "reward": reward.reshape(n, self.lanes, -1)}
+        before = self._columns["mishaps"][(self.total - 1) % self.slots]  # of a new buffer: zeros
+        mishaps = before + np.cumsum(block.collision | block.instability, axis=0, dtype=np.int32)
+        values = {**block._asdict(), "reward": reward.reshape(n, self.lanes, -1), "mishaps": mishaps}
         for name, column in self._columns.items():
             column[slots] = values[name]
         self._count(flat["episode"], flat["step"])
@@ -105,22 +107,37 @@ class ReplayBuffer:
         """Row numbers, uniform with replacement."""
         return rng.integers(len(self), size=size)
 
-    def read(self, rows: Array, out: Arrays) -> None:
-        """Write the transitions of these rows."""
-        for name in ("state", "action", "reward", "next_state"):
-            self._rows[name].take(rows, axis=0, out=getattr(out, name), mode="clip")
-        out.terminated[:, 0] = self._rows["terminated"].take(rows)
+    def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
+        """Rows of the n steps from each row on, and which of them are stored and of its episode; the others repeat the last that is."""
+        left = self._last_step(rows) - self._rows["step"].take(rows)
+        return self._after(rows[:, None], np.minimum(np.arange(n), left[:, None])), np.arange(n) <= left[:, None]
 
-    def later(self, rng: np.random.Generator, rows: Array) -> Array:
-        """Next states of a row drawn uniformly from each row to the last stored one of its episode."""
+    def take(self, name: str, rows: Array) -> Array:
+        """A column at some rows of any shape."""
+        return np.asarray(self._rows[name].take(rows, axis=0))
+
+    def next_state(self, rows: Array) -> Array:
+        """The states that the steps of some rows (n,) led to, (n, n_x)."""
+        return self.take("next_state", rows)
+
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
+        """As `Store.later`."""
         step = self._rows["step"].take(rows)
-        last = self._length.take(self._rows["episode"].take(rows)) - 1
-        slot = (rows // self.lanes + draw_later(rng, step, last) - step) % self.slots
-        return np.asarray(self._rows["next_state"].take(slot * self.lanes + rows % self.lanes, axis=0))
+        return self.next_state(self._after(rows, draw_later(rng, step, self._last_step(rows), horizon) - step))
 
-    def mishaps(self, rows: Array) -> tuple[Array, Array]:
-        """Collision and instability of these rows."""
-        return self._rows["collision"].take(rows), self._rows["instability"].take(rows)
+    def clean(self, rows: Array, horizon: int) -> Array:
+        """As `Store.clean`."""
+        left = self._last_step(rows) - self._rows["step"].take(rows)
+        then = self._after(rows, np.minimum(left, horizon - 1) if horizon > 0 else left)
+        mishap = self._rows["collision"].take(rows) | self._rows["instability"].take(rows)
+        return np.asarray(self._rows["mishaps"].take(then) == self._rows["mishaps"].take(rows) - mishap)
+
+    def _last_step(self, rows: Array) -> Array:
+        return np.asarray(self._length.take(self._rows["episode"].take(rows)) - 1)
+
+    def _after(self, rows: Array, steps: Array) -> Array:
+        """Rows that many slots later in the same lane."""
+        return np.asarray((rows // self.lanes + steps) % self.slots * self.lanes + rows % self.lanes)
 
     def save(self, folder: Path) -> None:
         """Write the slots added since the last save as one more segment file; `total` at this time is what `load` needs.

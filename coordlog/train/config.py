@@ -105,11 +105,15 @@ class LearnerConfig:
 
 @dataclass(frozen=True)
 class BehaviourConfig:
-    """Pull towards the logged action, on log samples only: w · mean((μ(s) - a)²) is added to the actor's loss."""
+    """Pull towards what was done, w · mean((μ(s) - a)²) in the actor's loss: on samples of logs, and on live ones in hindsight.
+
+    What was done is a good way to where it led, whoever did it (Ghosh et al. 2021, GCSL), so it teaches to reach from the first steps on.
+    Samples that a collision or fall follows within `replay.horizon` steps are left out.
+    """
 
     weight: float = 20.0
     """w at the first update; 0 for no pull."""
-    final: float = 20.0
+    final: float = 5.0
     """w at the last update, linear in between. Annealed to nearly nothing, good policies have collapsed."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no gradient passes (Andrychowicz 2017)."""
@@ -134,8 +138,8 @@ class NoiseConfig:
     """Standard deviation once it has decayed."""
     decay: float = 0.6
     """Fraction of the run over which it decays."""
-    correlation: float = 0.0
-    """Correlation ρ of the noise from one step to the next, [0, 1); 0 as in the paper."""
+    correlation: float = 0.9
+    """Correlation ρ of the noise from one step to the next, [0, 1); 0 in the paper, whose independent draws go nowhere at 25 Hz."""
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -160,14 +164,25 @@ class ReplayConfig:
     """Live transitions stored before the first update."""
     log_fraction: float = 0.5
     """Share of each batch that comes from logs when there are logs and live transitions."""
-    hindsight: float = 0.5
+    hindsight: float = 0.8
     """Share of each batch whose goals are replaced by palms reached later in the same episode."""
+    horizon: int = 20
+    """Goals in hindsight are reached at most this many steps later; 0 for any later step of the episode."""
+    imitation: float = 1.0
+    """Weight of the behaviour term on live samples in hindsight, beside 1 on samples of logs."""
+    n_step: int = 5
+    """Steps whose rewards a target sums before it bootstraps; one action at 25 Hz changes too little to be seen in the value."""
+    reorder: bool = True
+    """List the spheres of every sample in an order of chance: no order means anything, so each sample stands for all of them."""
 
     def __post_init__(self) -> None:
         """Check every field."""
         require(self.batch >= 2, "replay.batch", "at least 2", self.batch)
         require(self.capacity >= self.batch, "replay.capacity", f"at least replay.batch = {self.batch}", self.capacity)
         require(self.batch <= self.warmup <= self.capacity, "replay.warmup", "between replay.batch and replay.capacity", self.warmup)
+        require(self.horizon >= 0, "replay.horizon", "a number ≥ 0", self.horizon)
+        require(self.imitation >= 0, "replay.imitation", "a number ≥ 0", self.imitation)
+        require(self.n_step >= 1, "replay.n_step", "at least 1", self.n_step)
         for name in ("log_fraction", "hindsight"):
             require(0 <= getattr(self, name) <= 1, f"replay.{name}", "a fraction in [0, 1]", getattr(self, name))
 
@@ -184,7 +199,7 @@ class LoopConfig:
     """Live steps, all simulations together; not used when training from logs alone."""
     pretrain: int = 0
     """Updates from logs alone before the first live step."""
-    updates_per_step: float = 0.5
+    updates_per_step: float = 0.2
     """Updates per environment step after `replay.warmup` of them, when live."""
     block: int = 8
     """Control steps of every simulation between two snapshots of the actor, when live."""

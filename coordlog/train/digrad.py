@@ -30,10 +30,10 @@ class Batch(NamedTuple):
 
     state: Tensor  # (B, n_x)
     action: Tensor  # (B, n_u) executed, in [-1, 1]
-    reward: Tensor  # (B, k)
-    next_state: Tensor  # (B, n_x)
-    terminated: Tensor  # (B, 1) 1 where the task ended here; truncation is not an end
-    logged: Tensor  # (B, 1) 1 where the behaviour term applies
+    reward: Tensor  # (B, k) of one step, or discounted of several
+    next_state: Tensor  # (B, n_x) after them
+    discount: Tensor  # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an end
+    imitated: Tensor  # (B, 1) weight of the behaviour term
 
 
 class Update(NamedTuple):
@@ -114,6 +114,8 @@ class Learner:
     def targets(self, batch: Batch) -> Tensor:
         """y_i = r_i + γ (1 - terminated) min_e Q'_ei(s', clip(μ'(s') + ε)), clipped to the bounds: (B, k), in scaled units.
 
+        Over n steps r_i is their discounted sum and γ becomes γⁿ; `returns.n_step` has worked both out.
+
         The smoothing noise ε and the minimum over members e are TD3's (target_noise = 0 and one critic give the paper's y_i).
         """
         config = self.config
@@ -123,7 +125,7 @@ class Learner:
             action = action.add_(noise.clamp_(-config.target_clip, config.target_clip)).clamp_(-1, 1)
         value: Tensor = self.target_critic(batch.next_state, action)
         value = value.amin(dim=0) if len(value) > 1 else value[0]
-        y = torch.addcmul(batch.reward * config.reward_scale, 1 - batch.terminated, value, value=config.gamma)
+        y = torch.addcmul(batch.reward * config.reward_scale, batch.discount, value)
         return y.clamp_(*self._bounds) if config.clip_targets else y
 
     def _update_critic(self, batch: Batch) -> tuple[Tensor, Tensor]:
@@ -140,8 +142,8 @@ class Learner:
         """Eqs. (2) and (3), with the behaviour term and the normalisation of TD3+BC if asked for.
 
         θ^μ ascends mean_s Σ_i (m_i ⊙ ∇_a Q_i(s, a))ᵀ ∇_θ μ(s) / λ - w ∇_θ mean |μ(s) - a_logged|² / n_u at a = μ(s), λ = mean |Q|.
-        The effort term, w_e mean |μ(s)|² / n_u, joins the loss likewise. The behaviour term is divided by B, not by the number of log
-        samples: a log sample's balance of value against imitation does not depend on what else is in the batch.
+        The effort term, w_e mean |μ(s)|² / n_u, joins the loss likewise. The behaviour term is divided by B, not by the number of samples
+        it applies to: a sample's balance of value against imitation does not depend on what else is in the batch.
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
@@ -151,9 +153,9 @@ class Learner:
         with torch.no_grad():
             q = q.detach()
             size = len(q) * (q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1)
-            away = (leaf - batch.action) * batch.logged
-            behaviour = away.square().mean()
-            pull = away * (2 * behaviour_weight / away.numel()) + leaf * (2 * effort / leaf.numel())
+            away = leaf - batch.action
+            behaviour = (away.square() * batch.imitated).mean()
+            pull = away * batch.imitated * (2 * behaviour_weight / away.numel()) + leaf * (2 * effort / leaf.numel())
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()
         self._step_actor(action, [slope * weight / size for slope, weight in zip(slopes, self._head_weights, strict=True)], pull)
         return q.mean(dim=0) / self.config.reward_scale, behaviour, saturation

@@ -85,7 +85,7 @@ class Simulations:
         return {
             "episode": self._actor.episode.copy(),
             "length": np.array([len(actions) for actions in self._actions]),
-            "action": np.array(flat, dtype=np.float32).reshape(len(flat), -1),
+            "action": np.stack(flat) if flat else np.zeros((0, 0), np.float32),  # none where every episode has just ended
             "ended": np.array([self._ended]),
             "scores": np.array([_to_row(score) for score in fresh], dtype=np.float64).reshape(len(fresh), FLAGS + 2 * self._k),
         }

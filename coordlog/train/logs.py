@@ -10,7 +10,6 @@ import pyarrow as pa
 from coordlog.episode import Array
 from coordlog.errors import SpecError
 from coordlog.train.relabel import RewardFunction, draw_later
-from coordlog.train.replay import Arrays
 
 CHUNK = 65_536
 STEP_COLUMNS = ("state", "action", "distance", "boundary", "goal", "collision", "instability", "terminated")
@@ -77,13 +76,14 @@ class LogReplay:
             columns: The logs.
             reward: The reward to learn from.
         """
-        self._state, self._action, self._final = (np.asarray(column) for column in (columns.state, columns.action, columns.final))
-        self._collision, self._instability = np.asarray(columns.collision), np.asarray(columns.instability)
-        self._terminated = np.asarray(columns.terminated)
+        names = ("state", "action", "collision", "instability", "terminated")
+        self._columns = {name: np.asarray(getattr(columns, name)) for name in names}
+        self._final = np.asarray(columns.final)
         length = np.asarray(columns.length, dtype=np.int64)
         self._episode = np.repeat(np.arange(len(length), dtype=np.int32), length)
         self._last = np.cumsum(length) - 1  # row of each episode's last step
-        self._reward = np.empty(columns.distance.shape, np.float32)
+        self._mishaps = np.cumsum(self._columns["collision"] | self._columns["instability"], dtype=np.int32)
+        self._reward = self._columns["reward"] = np.empty(columns.distance.shape, np.float32)
         for start in range(0, len(self), CHUNK):  # so that a memory-mapped column is never read as a whole
             part = slice(start, start + CHUNK)
             flags = (columns.boundary[part], columns.goal[part], columns.collision[part], columns.instability[part])
@@ -91,42 +91,46 @@ class LogReplay:
 
     def __len__(self) -> int:
         """Number of transitions."""
-        return len(self._action)
+        return len(self._columns["action"])
 
     @property
     def widths(self) -> tuple[int, int, int]:
         """n_x, n_u and k."""
-        n_x, n_u, k = (column.shape[-1] for column in (self._state, self._action, self._reward))
+        n_x, n_u, k = (self._columns[name].shape[-1] for name in ("state", "action", "reward"))
         return n_x, n_u, k
 
     def draw(self, rng: np.random.Generator, size: int) -> Array:
         """Row numbers, uniform with replacement."""
         return rng.integers(len(self), size=size)
 
-    def read(self, rows: Array, out: Arrays) -> None:
-        """Write the transitions of these rows."""
-        self._state.take(rows, axis=0, out=out.state, mode="clip")
-        self._read_next(rows, out.next_state)
-        self._action.take(rows, axis=0, out=out.action, mode="clip")
-        self._reward.take(rows, axis=0, out=out.reward, mode="clip")
-        out.terminated[:, 0] = self._terminated.take(rows)
+    def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
+        """Rows of the n steps from each row on, and which of them are of its episode; the others repeat the last that is."""
+        wanted = rows[:, None] + np.arange(n)
+        last = self._last.take(self._episode.take(rows))[:, None]
+        return np.minimum(wanted, last), wanted <= last
 
-    def later(self, rng: np.random.Generator, rows: Array) -> Array:
-        """Next states of a row drawn uniformly from each row to the last of its episode."""
-        later = draw_later(rng, rows, self._last.take(self._episode.take(rows)))
-        states = np.empty((len(rows), self._state.shape[1]), np.float32)
-        self._read_next(later, states)
-        return states
+    def take(self, name: str, rows: Array) -> Array:
+        """A column at some rows of any shape."""
+        return np.asarray(self._columns[name].take(rows, axis=0))
 
-    def mishaps(self, rows: Array) -> tuple[Array, Array]:
-        """Collision and instability of these rows."""
-        return self._collision.take(rows), self._instability.take(rows)
-
-    def _read_next(self, rows: Array, out: Array) -> None:
-        self._state.take(rows + 1, axis=0, out=out, mode="clip")
+    def next_state(self, rows: Array) -> Array:
+        """The states that the steps of some rows (n,) led to, (n, n_x)."""
+        states = np.asarray(self._columns["state"].take(rows + 1, axis=0, mode="clip"))
         episode = self._episode.take(rows)
         ends = np.flatnonzero(rows == self._last.take(episode))
-        out[ends] = self._final[episode[ends]]
+        states[ends] = self._final[episode[ends]]
+        return states
+
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
+        """As `Store.later`."""
+        return self.next_state(draw_later(rng, rows, self._last.take(self._episode.take(rows)), horizon))
+
+    def clean(self, rows: Array, horizon: int) -> Array:
+        """As `Store.clean`."""
+        last = self._last.take(self._episode.take(rows))
+        then = np.minimum(last, rows + horizon - 1) if horizon > 0 else last
+        mishap = self._columns["collision"].take(rows) | self._columns["instability"].take(rows)
+        return np.asarray(self._mishaps.take(then) == self._mishaps.take(rows) - mishap)
 
 
 def _array(column: pa.ChunkedArray) -> Array:

@@ -81,7 +81,7 @@ class Trainer:
             raise SpecError(f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state")
         self.log_transitions = 0 if store is None else len(store)
         self.buffer = None if source is None else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
-        self.replay = MixedReplay(replay, reward=task.reward, view=task.view, logs=store, live=self.buffer, device=device)
+        self.replay = MixedReplay(replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device)
         bounds = value_bounds(task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest)
         mask = gradient_mask(task.arms, task.n_u)
         self.learner = Learner(
@@ -134,11 +134,7 @@ class Trainer:
         event = self._write_training_row() if self._tally.count > 0 else None
         if event is not None:
             return self._end("diverged", event)
-        if (
-            self.hooks.evaluate is not None
-            and self.settings.loop.evaluate_every > 0
-            and self.updates % self.settings.loop.evaluate_every != 0
-        ):
+        if self.settings.loop.evaluate_every > 0 and self._evaluated != self.updates:
             self._evaluate()
         return self._end("finished")
 

@@ -165,6 +165,6 @@ def _rows(path: Path) -> list[tuple[bytes, Json]]:
             break
         try:
             rows.append((line, dict(json.loads(line))))
-        except ValueError as error:
+        except (ValueError, TypeError) as error:
             raise FormatError(f"{path}: line {number} is not a row of metrics") from error
     return rows

@@ -17,6 +17,8 @@ from coordlog.episode import Array
 from coordlog.errors import SpecError
 
 AXES = 3
+SPHERE = 4
+"""Entries of a sphere in a state: where it is, and its radius."""
 
 
 class RewardFunction(Protocol):
@@ -99,9 +101,23 @@ def outcome(view: GoalView, reward: RewardFunction, *, palms: Array, goals: Arra
     return Outcome(distance, boundary, goal, rewards, np.asarray(instability | goal.all(axis=-1)))
 
 
-def draw_later(rng: np.random.Generator, now: Array, last: Array) -> Array:
-    """For each index, one drawn uniformly from itself to the last of its episode: the "future" strategy. All (n,) integers."""
-    return np.asarray(now + (rng.random(len(now)) * (last - now + 1)).astype(now.dtype))
+def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int = 0) -> Array:
+    """For each index, one drawn uniformly from itself to the last of its episode (the "future" strategy). All (n,) integers.
+
+    With a horizon, at most that many indices are drawn from; 0 for all of them.
+    """
+    span = last - now + 1
+    if horizon > 0:
+        span = np.minimum(span, horizon)
+    return np.asarray(now + (rng.random(len(now)) * span).astype(now.dtype))
+
+
+def reorder(rng: np.random.Generator, spheres: slice, *states: Array) -> None:
+    """List the spheres of each row in an order of chance, in place, the same in all of these states (n, n_x)."""
+    listed = [state[:, spheres].reshape(len(state), -1, SPHERE) for state in states]
+    order = rng.permuted(np.broadcast_to(np.arange(listed[0].shape[1]), listed[0].shape[:2]), axis=1)
+    for state, each in zip(states, listed, strict=True):
+        state[:, spheres] = np.take_along_axis(each, order[:, :, None], axis=1).reshape(len(state), -1)
 
 
 def value_bounds(reward: RewardFunction, *, k: int, gamma: float, farthest: float) -> tuple[float, float]:

@@ -11,17 +11,26 @@ from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.train.config import ReplayConfig
 from coordlog.train.digrad import Batch
-from coordlog.train.relabel import GoalView, RewardFunction, outcome, set_goals
+from coordlog.train.relabel import GoalView, RewardFunction, outcome, reorder, set_goals
+from coordlog.train.returns import Return, n_step
+from coordlog.train.task import Task
 
 
 class Arrays(NamedTuple):
-    """A batch as arrays that stores write into, float32."""
+    """A batch as arrays that are written into, float32."""
 
     state: Array  # (B, n_x)
     action: Array  # (B, n_u)
     reward: Array  # (B, k)
     next_state: Array  # (B, n_x)
-    terminated: Array  # (B, 1)
+    discount: Array  # (B, 1)
+    imitated: Array  # (B, 1)
+
+    @classmethod
+    def empty(cls, size: int, widths: tuple[int, int, int]) -> Arrays:
+        """Room for `size` transitions of widths n_x, n_u and k."""
+        n_x, n_u, k = widths
+        return cls(*(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1, 1)))
 
     def rows(self, part: slice) -> Arrays:
         """Views of some of the rows."""
@@ -35,26 +44,73 @@ class Store(Protocol):
         """Number of transitions."""
         ...
 
-    def draw(self, rng: np.random.Generator, size: int) -> Array:
-        """Row numbers, uniform with replacement, (size,) int64."""
-        ...
-
-    def read(self, rows: Array, out: Arrays) -> None:
-        """Write the transitions of these rows."""
-        ...
-
-    def later(self, rng: np.random.Generator, rows: Array) -> Array:
-        """Next states (n, n_x) of a row drawn uniformly from each row to the last stored one of its episode."""
-        ...
-
-    def mishaps(self, rows: Array) -> tuple[Array, Array]:
-        """Collision and instability of these rows, (n,) bool each."""
-        ...
-
     @property
     def widths(self) -> tuple[int, int, int]:
         """n_x, n_u and k."""
         ...
+
+    def draw(self, rng: np.random.Generator, size: int) -> Array:
+        """Row numbers, uniform with replacement, (size,) int64."""
+        ...
+
+    def take(self, name: str, rows: Array) -> Array:
+        """A column ("state", "action", "reward", "collision", "instability", "terminated") at some rows of any shape."""
+        ...
+
+    def next_state(self, rows: Array) -> Array:
+        """The states that the steps of some rows (n,) led to, (n, n_x)."""
+        ...
+
+    def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
+        """Rows of the n steps from each row on, (size, n), and which of them are of its episode; the others repeat the last that is."""
+        ...
+
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
+        """Next states (n, n_x) of a row drawn uniformly from each row to the last stored one of its episode, or up to a horizon."""
+        ...
+
+    def clean(self, rows: Array, horizon: int) -> Array:
+        """Whether nothing went wrong from each row to the last stored one of its episode, or up to a horizon, (n,) bool."""
+        ...
+
+
+def transitions(store: Store, rows: Array, out: Arrays, *, n: int, gamma: float) -> None:
+    """Write transitions over n steps as they were; `imitated` is left alone."""
+    index, within = store.ahead(rows, n)
+    found = n_step(store.take("reward", index), store.take("terminated", index), within, gamma=gamma)
+    out.state[:], out.action[:] = store.take("state", rows), store.take("action", rows)
+    _lead(store, index, found, out)
+
+
+class Asked(NamedTuple):
+    """What transitions are to be learnt from as if it had been wanted."""
+
+    goals: Array  # (B, k, 3) m
+    view: GoalView
+    reward: RewardFunction
+
+
+def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, *, n: int, gamma: float) -> None:
+    """Write transitions over n steps as if other goals had been asked for; `imitated` is left alone.
+
+    Goals, differences, rewards and endings are those of the new goals; collision and instability are as stored.
+    """
+    goals, view, reward = asked
+    index, within = store.ahead(rows, n)
+    every = index.ravel()
+    palms = view.points(store.next_state(every), view.palms)
+    mishaps = {name: store.take(name, every) for name in ("collision", "instability")}
+    result = outcome(view, reward, palms=palms, goals=np.repeat(goals, n, axis=0), **mishaps)
+    found = n_step(result.reward.reshape(*index.shape, -1), result.terminated.reshape(index.shape), within, gamma=gamma)
+    out.state[:], out.action[:] = store.take("state", rows), store.take("action", rows)
+    _lead(store, index, found, out)
+    set_goals(view, out.state, goals)
+    set_goals(view, out.next_state, goals)
+
+
+def _lead(store: Store, index: Array, found: Return, out: Arrays) -> None:
+    out.reward[:], out.discount[:, 0] = found.reward, found.discount
+    out.next_state[:] = store.next_state(index[np.arange(len(index)), found.last])
 
 
 class MixedReplay:
@@ -63,9 +119,9 @@ class MixedReplay:
     def __init__(
         self,
         config: ReplayConfig,
+        task: Task,
         *,
-        reward: RewardFunction,
-        view: GoalView | None = None,
+        gamma: float,
         logs: Store | None = None,
         live: Store | None = None,
         device: str = "cpu",
@@ -74,14 +130,14 @@ class MixedReplay:
 
         Args:
             config: Sizes and shares.
-            reward: The reward, for goals in hindsight.
-            view: Where goals stand in a state; needed for hindsight.
+            task: The reward, and where goals and spheres stand in a state.
+            gamma: Discount per step.
             logs: Immutable transitions; the behaviour term applies to these.
-            live: Transitions of the run itself.
+            live: Transitions of the run itself; it applies to those in hindsight, times `config.imitation`.
             device: Where batches go.
 
         Raises:
-            ConfigError: if there is no store, the stores differ in layout, or hindsight lacks a view.
+            ConfigError: if there is no store, the stores differ in layout, or the task has no goals for hindsight.
         """
         stores = [store for store in (logs, live) if store is not None]
         if not stores:
@@ -90,25 +146,23 @@ class MixedReplay:
             raise ConfigError(
                 f"replay: logs have widths (n_x, n_u, k) = {stores[0].widths}, live steps {stores[1].widths}; train them apart"
             )
-        if config.hindsight > 0 and view is None:
+        if config.hindsight > 0 and task.view is None:
             raise ConfigError("replay.hindsight: expected to know where goals stand in the state; set it to 0 for this task")
-        self._config, self._reward, self._view, self._logs, self._live = config, reward, view, logs, live
-        self._device = torch.device(device)
-        self._widths = stores[0].widths
+        self._config, self._task, self._gamma = config, task, gamma
+        self._spheres = task.spheres if config.reorder else None
+        self._logs, self._live, self._device, self._widths = logs, live, torch.device(device), stores[0].widths
 
     def sample(self, rng: np.random.Generator) -> Batch:
         """A batch: log transitions first, then live ones; in each part, those with goals in hindsight first."""
         size, logged = self._config.batch, self._logged()
-        n_x, n_u, k = self._widths
-        out = Arrays(*(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1)))
+        out = Arrays.empty(size, self._widths)
         if self._logs is not None and logged > 0:
-            self._fill(rng, self._logs, out.rows(slice(0, logged)))
+            self._fill(rng, self._logs, out.rows(slice(0, logged)), imitation=(1.0, 1.0))
         if self._live is not None and logged < size:
-            self._fill(rng, self._live, out.rows(slice(logged, size)))
-        mark = torch.zeros(size, 1)
-        mark[:logged] = 1
-        tensors = (torch.from_numpy(array) for array in out)
-        return Batch(*(tensor.to(self._device) for tensor in (*tensors, mark)))
+            self._fill(rng, self._live, out.rows(slice(logged, size)), imitation=(self._config.imitation, 0.0))
+        if self._spheres is not None:
+            reorder(rng, self._spheres, out.state, out.next_state)
+        return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
 
     def _logged(self) -> int:
         """Number of log transitions in the next batch."""
@@ -118,35 +172,19 @@ class MixedReplay:
             return self._config.batch
         return round(self._config.log_fraction * self._config.batch)
 
-    def _fill(self, rng: np.random.Generator, store: Store, out: Arrays) -> None:
+    def _fill(self, rng: np.random.Generator, store: Store, out: Arrays, *, imitation: tuple[float, float]) -> None:
+        """A part of a batch; `imitation` weighs the behaviour term in hindsight and as it was, where nothing went wrong soon after."""
+        config = self._config
         rows = store.draw(rng, len(out.state))
-        store.read(rows, out)
-        count = round(self._config.hindsight * len(rows))
+        count = round(config.hindsight * len(rows))
         if count > 0:
-            assert self._view is not None
-            relabel(
-                self._view,
-                self._reward,
-                out.rows(slice(0, count)),
-                goals=store.later(rng, rows[:count]),
-                mishaps=store.mishaps(rows[:count]),
-            )
-
-
-def relabel(view: GoalView, reward: RewardFunction, batch: Arrays, *, goals: Array, mishaps: tuple[Array, Array]) -> None:
-    """Ask n transitions for what was reached elsewhere, in place: goals, differences, rewards and endings.
-
-    Args:
-        view: Where goals stand.
-        reward: The reward.
-        batch: The transitions.
-        goals: States (n, n_x) whose palms become the goals.
-        mishaps: Collision and instability of the transitions, (n,) each, as logged.
-    """
-    wanted = view.points(goals, view.palms)
-    set_goals(view, batch.state, wanted)
-    set_goals(view, batch.next_state, wanted)
-    palms = view.points(batch.next_state, view.palms)
-    result = outcome(view, reward, palms=palms, goals=wanted, collision=mishaps[0], instability=mishaps[1])
-    batch.reward[:] = result.reward
-    batch.terminated[:, 0] = result.terminated
+            view = self._task.view
+            assert view is not None
+            goals = view.points(store.later(rng, rows[:count], config.horizon), view.palms)
+            part, asked = out.rows(slice(0, count)), Asked(goals, view, self._task.reward)
+            in_hindsight(store, rows[:count], part, asked, n=config.n_step, gamma=self._gamma)
+        if count < len(rows):
+            transitions(store, rows[count:], out.rows(slice(count, None)), n=config.n_step, gamma=self._gamma)
+        out.imitated[:count, 0], out.imitated[count:, 0] = imitation
+        if any(imitation):
+            out.imitated[:, 0] *= store.clean(rows, config.horizon)

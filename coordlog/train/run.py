@@ -6,6 +6,7 @@ metrics.jsonl            a row per interval and per evaluation
 checkpoint.safetensors   everything a resumed run needs, with buffer/
 policy.safetensors       the policy as of the last checkpoint; best.safetensors: the best one evaluated
 episodes/                every live and every evaluation episode
+tensorboard/             event files, if asked for
 """
 
 from __future__ import annotations
@@ -56,9 +57,13 @@ def recall(folder: Path) -> Json:
     try:
         said: Json = json.loads((folder / RUN).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise StorageError(f"{folder}: no run to resume: expected a folder with {RUN}") from None
+        raise StorageError(f"{folder}: holds no run: expected a folder with {RUN}, found none") from None
+    except OSError as error:
+        raise StorageError(f"{folder / RUN}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ConfigError(f"{folder / RUN}: expected JSON: {error}") from error
+    if not isinstance(said, dict):
+        raise ConfigError(f"{folder / RUN}: expected a JSON object, got {str(said)[:40]}")
     return said
 
 

@@ -54,8 +54,8 @@ PRESETS: dict[str, Settings] = {
             normalise=False,
         ),
         behaviour=BehaviourConfig(weight=0.0, final=0.0, effort=0.0),
-        noise=NoiseConfig(start=0.3, final=0.02, decay=0.6),
-        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0),
+        noise=NoiseConfig(start=0.3, final=0.02, decay=0.6, correlation=0.0),
+        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0, imitation=0.0, n_step=1, reorder=False),
         loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, averaged=False),
     ),
 }
@@ -116,9 +116,9 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
     """Raise ConfigError unless a resumed run's settings are those it was saved with; its budget may be another."""
     for section, values in settings.asdict().items():
         for key, value in values.items():
-            if saved[section][key] != value and (section, key) not in BUDGET:
+            if saved[section].get(key) != value and (section, key) not in BUDGET:
                 raise ConfigError(
-                    f"resume: {section}.{key} was {saved[section][key]!r} and is now {value!r}; resume with the run's own settings"
+                    f"resume: {section}.{key} was {saved[section].get(key)!r} and is now {value!r}; resume with the run's own settings"
                 )
 
 

@@ -29,6 +29,8 @@ class Task:
     """Greatest distance between a palm and its goal [m], for the bounds of the return."""
     view: GoalView | None = None
     """Where palms and goals stand in the state; without it there are no goals in hindsight."""
+    spheres: slice | None = None
+    """Where the state lists spheres, `relabel.SPHERE` entries each, if it does; their order means nothing."""
 
     @property
     def widths(self) -> tuple[int, int, int]:

@@ -9,11 +9,16 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from coordlog.cli import app
+from coordlog.commands.training import Judge
 from coordlog.errors import CoordlogError
 from coordlog.record.dataset import open as open_logs
+from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
+from coordlog.train.networks import Actor
+from coordlog.train.policy import Policy
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
 SMALL = ["--set", "network.hidden=[32,32]", "--set", "replay.batch=32", "--eval-episodes", "4", "--envs", "4"]
@@ -84,6 +89,19 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
     coordlog(cache, "check", tmp_path / "parts" / "episodes", "--jobs", "1", wanted=0)
 
 
+def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
+    actor = Actor(35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0))
+    policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
+    found = []
+    for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
+        judge = Judge("planar", {"env": {"max_steps": 3}}, None, tmp_path, run=name, episodes=2)
+        found.append(judge(chosen, 40))
+    assert found[0] == found[1] == found[2]
+    episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
+    assert len(episodes) == 4, "two of each run, however often it was resumed"
+    assert len({episode.header.episode["id"] for episode in episodes}) == 4
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [
@@ -95,7 +113,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
-        (("--scene", "planar", "--steps", "64", "--resume"), "no run to resume"),
+        (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
     ],
 )
 def test_bad_input_is_refused_with_a_sentence(

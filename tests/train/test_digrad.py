@@ -33,12 +33,12 @@ TWO_ARMS = {"left": [0, 1], "right": [0, 2, 3]}
 APART = {"left": [0, 1], "right": [2, 3]}
 
 
-def batch(rng: np.random.Generator, k: int, *, size: int = B, logged: float = 0.0) -> Batch:
+def batch(rng: np.random.Generator, k: int, *, size: int = B, imitated: float = 0.0) -> Batch:
     def draw(*shape: int) -> Tensor:
         return torch.tensor(rng.normal(size=shape), dtype=torch.get_default_dtype())
 
-    terminated = (draw(size, 1) > 1).to(torch.get_default_dtype())
-    return Batch(draw(size, N_X), draw(size, N_U).clamp(-1, 1), draw(size, k), draw(size, N_X), terminated, torch.full((size, 1), logged))
+    discount = DDPG.gamma * (draw(size, 1) <= 1).to(torch.get_default_dtype())
+    return Batch(draw(size, N_X), draw(size, N_U).clamp(-1, 1), draw(size, k), draw(size, N_X), discount, torch.full((size, 1), imitated))
 
 
 def learner(arms: dict[str, list[int]], *, network: NetworkConfig = PLAIN, config: LearnerConfig = DDPG, seed: int = 0) -> Learner:
@@ -73,7 +73,7 @@ class PlainDdpg:
     def update(self, data: Batch) -> None:
         with torch.no_grad():
             following = torch.cat((data.next_state, self.actor_target(data.next_state)), dim=1)
-            y = data.reward + self.config.gamma * (1 - data.terminated) * self.critic_target(following)
+            y = data.reward + data.discount * self.critic_target(following)
         loss = nn.functional.mse_loss(self.critic(torch.cat((data.state, data.action), dim=1)), y)
         self.critic_adam.zero_grad()
         loss.backward()
@@ -200,7 +200,7 @@ def test_the_ablations_ascend_the_unmasked_value(combination: str, share: float,
 
 @pytest.mark.usefixtures("double")
 def test_gradient_surgery_opposes_neither_task(rng: np.random.Generator) -> None:
-    data = batch(rng, 2, logged=1.0)
+    data = batch(rng, 2, imitated=1.0)
     made = learner(TWO_ARMS, config=replace(DDPG, gradient="pcgrad"))
     made.update(data, behaviour_weight=0.0)
     fresh = learner(TWO_ARMS)
@@ -212,17 +212,17 @@ def test_gradient_surgery_opposes_neither_task(rng: np.random.Generator) -> None
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("combination", ["mask", "pcgrad"])
-def test_the_behaviour_term_pulls_towards_logged_actions_only(combination: str, rng: np.random.Generator) -> None:
+def test_the_behaviour_term_pulls_where_actions_are_imitated(combination: str, rng: np.random.Generator) -> None:
     data = batch(rng, 2)
     half = torch.zeros(B, 1)
-    half[: B // 2] = 1
-    data = data._replace(logged=half)
+    half[: B // 2] = torch.linspace(0.5, 1.0, B // 2)[:, None]
+    data = data._replace(imitated=half)
     config = replace(DDPG, gradient=combination)  # type: ignore[arg-type]
     with_pull, without = learner(TWO_ARMS, config=config), learner(TWO_ARMS, config=config)
     update = with_pull.update(data, behaviour_weight=3.0)
     without.update(data)
     fresh = learner(TWO_ARMS)
-    away = ((fresh.actor(data.state) - data.action)[: B // 2]).square().sum() / (B * N_U)
+    away = (half * (fresh.actor(data.state) - data.action).square()).mean()
     parts = torch.autograd.grad(3.0 * away, tuple(fresh.actor.parameters()))
     torch.testing.assert_close(gradient(with_pull) - gradient(without), torch.cat([part.reshape(-1) for part in parts]))
     torch.testing.assert_close(update.behaviour, away.detach())
@@ -253,12 +253,12 @@ def test_a_termination_is_not_bootstrapped_through_and_a_truncation_is(rng: np.r
     made = learner(TWO_ARMS)
     made.target_critic.mlp.output.bias.data += 5.0
     data = batch(rng, 2)
-    data.terminated[:] = 0
-    data.terminated[3] = 1
+    data.discount[:] = 0.9
+    data.discount[3] = 0
     y = made.targets(data)
     value = made.target_critic(data.next_state, made.target_actor(data.next_state))[0]
     torch.testing.assert_close(y[3], data.reward[3])
-    going = torch.arange(B) != 3  # a truncated step is stored with terminated = 0
+    going = torch.arange(B) != 3  # a truncated step has the discount of any other
     torch.testing.assert_close(y[going], (data.reward + 0.9 * value)[going])
     assert (y - data.reward)[going].abs().min() > 4
 
@@ -268,7 +268,7 @@ def test_twins_give_the_smaller_value_per_head(rng: np.random.Generator) -> None
     made.target_critic.mlp.output.bias.data[0, 0, 0] += 5.0
     made.target_critic.mlp.output.bias.data[1, 0, 1] += 7.0
     data = batch(rng, 2)
-    data.terminated[:] = 0
+    data.discount[:] = 0.9
     values = made.target_critic(data.next_state, made.target_actor(data.next_state))
     least = torch.stack((values[1, :, 0], values[0, :, 1]), dim=1)
     torch.testing.assert_close(made.targets(data), data.reward + 0.9 * least)
@@ -297,7 +297,7 @@ def test_targets_are_smoothed_within_their_clip_and_bounded(rng: np.random.Gener
 def test_rewards_are_scaled_inside_and_values_reported_outside(rng: np.random.Generator) -> None:
     made = learner(TWO_ARMS, config=replace(DDPG, reward_scale=0.1))
     data = batch(rng, 2)
-    data.terminated[:] = 1
+    data.discount[:] = 0
     torch.testing.assert_close(made.targets(data), 0.1 * data.reward)
     q = made.critic(data.state, data.action).detach()
     update = made.update(data)
@@ -362,7 +362,7 @@ def test_two_tasks_that_share_an_action_are_solved(combination: str, optimum: li
     made = Learner(1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0)
     for _ in range(1000):
         state, action = (torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3))
-        made.update(Batch(state, action, two_tasks(action), state, torch.ones(64, 1), torch.zeros(64, 1)))
+        made.update(Batch(state, action, two_tasks(action), state, torch.zeros(64, 1), torch.zeros(64, 1)))
     with torch.no_grad():
         found = made.actor(torch.linspace(-1, 1, 50)[:, None])
     torch.testing.assert_close(found, torch.tensor(optimum).expand_as(found), rtol=0, atol=0.15)
@@ -372,7 +372,7 @@ def test_two_tasks_that_share_an_action_are_solved(combination: str, optimum: li
 def test_updates_continue_bit_for_bit_from_a_state(preset: str, rng: np.random.Generator) -> None:
     settings = PRESETS[preset]
     network = replace(settings.network, hidden=(16, 12))
-    data = [batch(rng, 2, logged=1.0) for _ in range(10)]
+    data = [batch(rng, 2, imitated=1.0) for _ in range(10)]
     through, first = (learner(TWO_ARMS, network=network, config=settings.learner) for _ in range(2))
     for item in data[:5]:
         first.update(item, behaviour_weight=0.5)

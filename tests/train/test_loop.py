@@ -85,6 +85,18 @@ def test_a_stopped_run_continues_as_if_it_had_not_been(kind: str, rounds: int, t
     assert all(np.array_equal(best[0][name], best[1][name]) for name in best[1])
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_finished_run_has_nothing_left_to_do(kind: str, tmp_path: Path) -> None:
+    assignments, logs, live = KINDS[kind]
+    wanted = settings(*assignments, "loop.evaluate_every=9")
+    first = trainer(tmp_path, wanted, logs=logs, live=live).run()
+    rows, saved = metrics(tmp_path), weights(tmp_path)
+    assert trainer(tmp_path, wanted, logs=logs, live=live).run(resume=True) == first
+    assert (metrics(tmp_path), weights(tmp_path)) == (rows, saved)
+    evaluated = [row["update"] for row in rows if row["kind"] == "evaluation"]
+    assert evaluated == sorted(set(evaluated)), "the last one once, whether or not it was due"
+
+
 class KilledError(Exception):
     """Stands for kill -9: nothing is cleaned up."""
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from coordlog.errors import SpecError
 from coordlog.sim.config import RewardConfig
 from coordlog.sim.reward import Flags, rewards
-from coordlog.train.relabel import GoalView, draw_later, outcome, set_goals, value_bounds
+from coordlog.train.relabel import GoalView, draw_later, outcome, reorder, set_goals, value_bounds
 
 N = 200
 
@@ -130,3 +130,18 @@ def test_a_view_of_uneven_places_is_an_error() -> None:
         GoalView(slice(0, 6), slice(6, 9), None, np.zeros(9), np.ones(9), 0.03, 0.1)
     with pytest.raises(SpecError, match=r"got widths \[4\]"):
         GoalView(slice(0, 4), slice(4, 8), None, np.zeros(8), np.ones(8), 0.03, 0.1)
+
+
+def test_spheres_are_listed_in_an_order_of_chance_and_nothing_else_changes(rng: np.random.Generator) -> None:
+    state, following = rng.normal(size=(2, 600, 20)).astype(np.float32)
+    spheres = slice(5, 17)
+    following[:, spheres] = state[:, spheres]
+    before = state.copy()
+    reorder(rng, spheres, state, following)
+    np.testing.assert_array_equal(state[:, spheres], following[:, spheres])
+    np.testing.assert_array_equal(np.delete(state, np.r_[spheres], axis=1), np.delete(before, np.r_[spheres], axis=1))
+    old, new = (rows[:, spheres].reshape(-1, 3, 4) for rows in (before, state))
+    order = (new[:, :, None] == old[:, None]).all(axis=-1).argmax(axis=2)
+    np.testing.assert_array_equal(np.take_along_axis(old, order[:, :, None], axis=1), new)
+    assert len(np.unique(order, axis=0)) == 6
+    assert np.bincount(order[:, 0]).min() > 150

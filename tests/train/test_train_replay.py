@@ -15,19 +15,17 @@ from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.train.buffer import Block, ReplayBuffer
 from coordlog.train.config import ReplayConfig
 from coordlog.train.logs import Columns, LogReplay
-from coordlog.train.replay import Arrays, MixedReplay, Store
+from coordlog.train.replay import Arrays, MixedReplay, Store, transitions
 
 WIDTHS = (toy.N_X, toy.N_U, 2)
+GAMMA = 0.9
 
 
-def empty(size: int) -> Arrays:
-    n_x, n_u, k = WIDTHS
-    return Arrays(*(np.full((size, width), np.nan, np.float32) for width in (n_x, n_u, k, n_x, 1)))
-
-
-def read(store: Store, rows: np.ndarray) -> Arrays:
-    out = empty(len(rows))
-    store.read(rows, out)
+def read(store: Store, rows: np.ndarray, *, n: int = 1) -> Arrays:
+    out = Arrays.empty(len(rows), WIDTHS)
+    for array in out:
+        array[:] = np.nan
+    transitions(store, rows, out, n=n, gamma=GAMMA)
     return out
 
 
@@ -62,7 +60,7 @@ def test_every_logged_transition_leads_to_the_next_state_of_its_own_episode() ->
         np.testing.assert_array_equal(out.next_state[row : row + length], states[1:])
         row += length
     np.testing.assert_array_equal(out.action, columns.action)
-    np.testing.assert_array_equal(out.terminated[:, 0], columns.terminated)
+    np.testing.assert_array_equal(out.discount[:, 0] == 0, columns.terminated)
     assert not np.isnan(out.reward).any()
 
 
@@ -79,14 +77,14 @@ def test_later_states_of_logs_stay_in_their_episode(rng: np.random.Generator) ->
     store = LogReplay(columns, toy.reward)
     rows = store.draw(rng, 500)
     episode = np.repeat(np.arange(12), columns.length)
-    later = store.later(rng, rows)
+    later = store.later(rng, rows, 0)
     following = read(store, np.arange(len(store))).next_state
     for row, state in zip(rows, later, strict=True):
         places = np.flatnonzero((following == state).all(axis=1) & (episode == episode[row]))
         assert len(places)
         assert places.max() >= row
     last = np.cumsum(columns.length) - 1
-    np.testing.assert_array_equal(store.later(rng, last), columns.final)
+    np.testing.assert_array_equal(store.later(rng, last, 0), columns.final)
 
 
 def test_arrow_tables_become_columns_over_the_same_memory() -> None:
@@ -161,7 +159,7 @@ def test_the_buffer_gives_back_what_was_added() -> None:
         for name in ("distance", "boundary", "goal", "collision", "instability")
     ]
     np.testing.assert_allclose(out.reward, toy.reward(*flat), rtol=1e-6)
-    np.testing.assert_array_equal(out.terminated[:, 0], block.terminated.ravel())
+    np.testing.assert_array_equal(out.discount[:, 0] == 0, block.terminated.ravel())
 
 
 def test_truncated_steps_are_not_ends() -> None:
@@ -171,7 +169,7 @@ def test_truncated_steps_are_not_ends() -> None:
     buffer = ReplayBuffer(100, 4, widths=WIDTHS, reward=toy.reward)
     buffer.add(block)
     out = read(buffer, np.arange(len(buffer)))
-    assert (out.terminated == 0).all()
+    assert (out.discount == np.float32(GAMMA)).all()
     np.testing.assert_array_equal(out.next_state[16:20], out.state[16:20])  # nothing moved: the state before the reset
 
 
@@ -197,7 +195,7 @@ def test_later_states_follow_the_lane_around_the_end_of_the_buffer(rng: np.rando
         buffer.add(numbered(5, first=first, lanes=3))  # episodes of four slots; slot 29 is in the middle of one
     rows = np.repeat(np.arange(len(buffer)), 50)
     now = read(buffer, rows).state[:, 0].astype(int)
-    later = buffer.later(rng, rows)[:, 0] - 0.5
+    later = buffer.later(rng, rows, 0)[:, 0] - 0.5
     ends = np.minimum(now // 4 * 4 + 3, 29)
     assert ((now <= later) & (later <= ends)).all()
     for slot in range(19, 30):
@@ -211,7 +209,7 @@ def test_later_states_are_of_the_same_lane_and_episode(rng: np.random.Generator)
     rows = buffer.draw(rng, 400)
     view = toy.view()
     goals = view.points(read(buffer, rows).state, view.goals)
-    np.testing.assert_array_equal(view.points(buffer.later(rng, rows), view.goals), goals)  # goals differ between episodes
+    np.testing.assert_array_equal(view.points(buffer.later(rng, rows, 0), view.goals), goals)  # goals differ between episodes
 
 
 @pytest.mark.parametrize("slots", [7, 1000])
@@ -236,7 +234,7 @@ def test_a_buffer_continues_exactly_from_its_segments(slots: int, tmp_path: Path
     rows = np.arange(len(through))
     for one, other in zip(read(through, rows), read(second, rows), strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(through.later(np.random.default_rng(0), rows), second.later(np.random.default_rng(0), rows))
+    np.testing.assert_array_equal(through.later(np.random.default_rng(0), rows, 0), second.later(np.random.default_rng(0), rows, 0))
     second.save(tmp_path)
     third = made()
     third.load(tmp_path, total=30)
@@ -286,23 +284,23 @@ def test_batches_mix_logs_and_live_steps_by_share(rng: np.random.Generator) -> N
     logs, live = stores()
     known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
     for share, count in ((0.5, 16), (0.25, 8), (0.0, 0), (1.0, 32)):
-        batch = MixedReplay(config(log_fraction=share), reward=toy.reward, logs=logs, live=live).sample(rng)
-        assert batch.logged.sum() == count
-        logged = [row.tobytes() in known for row in batch.state.numpy()]
-        assert logged == [bool(mark) for mark in batch.logged[:, 0]]
+        batch = MixedReplay(config(log_fraction=share), toy.task(), gamma=GAMMA, logs=logs, live=live).sample(rng)
+        known_rows = np.array([row.tobytes() in known for row in batch.state.numpy()])
+        np.testing.assert_array_equal(known_rows, np.arange(32) < count)
 
 
 def test_all_of_a_batch_comes_from_whichever_there_is(rng: np.random.Generator) -> None:
     logs, live = stores()
+    known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
     nothing = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
-    assert MixedReplay(config(), reward=toy.reward, logs=logs).sample(rng).logged.all()
-    assert MixedReplay(config(), reward=toy.reward, logs=logs, live=nothing).sample(rng).logged.all()
-    assert not MixedReplay(config(), reward=toy.reward, live=live).sample(rng).logged.any()
+    for given, share in (({"logs": logs}, 1), ({"logs": logs, "live": nothing}, 1), ({"live": live}, 0)):
+        batch = MixedReplay(config(), toy.task(), gamma=GAMMA, **given).sample(rng)
+        assert np.mean([row.tobytes() in known for row in batch.state.numpy()]) == share
 
 
 def test_batches_follow_from_the_generator_alone() -> None:
     logs, live = stores()
-    replay = MixedReplay(config(hindsight=0.5), reward=toy.reward, view=toy.view(), logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.5), toy.task(), gamma=GAMMA, logs=logs, live=live)
     one, other = (replay.sample(np.random.default_rng(5)) for _ in range(2))
     assert all((a == b).all() for a, b in zip(one, other, strict=True))
 
@@ -311,7 +309,7 @@ def test_hindsight_asks_a_share_of_each_batch_for_what_was_reached(rng: np.rando
     logs, live = stores()
     view = toy.view()
     asked = {points.tobytes() for store in (logs, live) for points in view.points(read(store, np.arange(len(store))).state, view.goals)}
-    replay = MixedReplay(config(hindsight=0.25), reward=toy.reward, view=view, logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.25, n_step=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
     for _ in range(20):
         batch = replay.sample(rng)
         state, following = batch.state.numpy(), batch.next_state.numpy()
@@ -323,15 +321,76 @@ def test_hindsight_asks_a_share_of_each_batch_for_what_was_reached(rng: np.rando
         reached = (np.linalg.norm(goals - palms, axis=2) < toy.RADIUS).all(axis=1)
         won = batch.reward.numpy()[:, 0] == np.float32(toy.CONSTANTS.kappa)
         np.testing.assert_array_equal(won[fresh], reached[fresh])
-        assert batch.terminated.numpy()[fresh & reached].all()
+        assert (batch.discount.numpy()[fresh & reached] == 0).all()
+
+
+@pytest.mark.parametrize("kind", ["logs", "live"])
+def test_several_steps_of_an_episode_are_summed_as_one_by_one(kind: str, rng: np.random.Generator) -> None:
+    store: Store = LogReplay(toy.logs(12), toy.reward)
+    if kind == "live":
+        source = toy.ToySource(5, seed=3, limit=7)
+        store = ReplayBuffer(5 * 23, 5, widths=WIDTHS, reward=toy.reward)
+        for _ in range(9):  # goes around its end
+            store.add(source.collect(6, lambda state: rng.uniform(-1, 1, (5, toy.N_U)).astype(np.float32)))
+    rows = store.draw(rng, 200)
+    one, found = read(store, np.arange(len(store))), read(store, rows, n=4)
+    goals = toy.view().goals
+    for place, row in enumerate(rows):
+        reward, discount, at = np.zeros(2), 1.0, row
+        for _ in range(4):
+            reward, discount = reward + discount * one.reward[at], discount * GAMMA
+            following = one.next_state[at]
+            if one.discount[at, 0] == 0:
+                discount = 0.0
+                break
+            after = np.flatnonzero((one.state == following).all(axis=1) & (one.state[:, goals] == one.state[row, goals]).all(axis=1))
+            if len(after) == 0:  # truncated, or not stored yet
+                break
+            at = after[0]
+        np.testing.assert_allclose(found.reward[place], reward, rtol=1e-5)
+        np.testing.assert_allclose(found.discount[place], discount, rtol=1e-6)
+        np.testing.assert_array_equal(found.next_state[place], following)
+
+
+def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -> None:
+    buffer = ReplayBuffer(40, 1, widths=WIDTHS, reward=toy.reward)
+    block = numbered(40)
+    buffer.add(block._replace(episode=np.zeros_like(block.episode), step=np.arange(40)[:, None]))
+    rows = np.repeat(np.arange(40), 100)
+    ahead = buffer.later(rng, rows, 6)[:, 0] - 0.5 - rows
+    assert set(ahead) == set(range(6))
+    assert (ahead + rows).max() == 39
+
+
+@pytest.mark.parametrize("kind", ["logs", "live"])
+def test_what_leads_to_a_mishap_is_not_imitated(kind: str) -> None:
+    block = numbered(12)._replace(collision=(np.arange(12) == 6)[:, None], instability=(np.arange(12) == 11)[:, None])  # episodes of four
+    store: Store = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+    if kind == "live":
+        store.add(block)
+    else:
+        names = ("state", "action", "distance", "boundary", "goal", "collision", "instability", "terminated")
+        columns = {name: getattr(block, name)[:, 0] for name in names}
+        store = LogReplay(Columns(**columns, final=block.next_state[3::4, 0], length=np.array([4, 4, 4])), toy.reward)
+    rows = np.arange(12)
+    np.testing.assert_array_equal(store.clean(rows, 0), [True] * 4 + [False] * 3 + [True] + [False] * 4)
+    np.testing.assert_array_equal(store.clean(rows, 2), [True] * 5 + [False] * 2 + [True] * 3 + [False] * 2)
+
+
+def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    asked = config(hindsight=0.25, imitation=0.5, horizon=1)
+    replay = MixedReplay(asked, toy.task(), gamma=GAMMA, logs=logs, live=live)
+    imitated = replay.sample(rng).imitated[:, 0].numpy()
+    np.testing.assert_array_equal(imitated, np.repeat([1.0, 0.5, 0.0], [16, 4, 12]))  # nothing goes wrong in these episodes
 
 
 def test_stores_that_cannot_be_mixed_are_refused() -> None:
     logs, _ = stores()
     with pytest.raises(ConfigError, match="expected logs, live steps or both, got neither"):
-        MixedReplay(config(), reward=toy.reward)
+        MixedReplay(config(), toy.task(), gamma=GAMMA)
     with pytest.raises(ConfigError, match=r"replay\.hindsight: expected to know where goals stand"):
-        MixedReplay(config(hindsight=0.5), reward=toy.reward, logs=logs)
+        MixedReplay(config(hindsight=0.5), replace(toy.task(), view=None), gamma=GAMMA, logs=logs)
     other = ReplayBuffer(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
     with pytest.raises(ConfigError, match=r"logs have widths \(n_x, n_u, k\) = \(18, 9, 2\), live steps \(5, 9, 2\)"):
-        MixedReplay(config(), reward=toy.reward, logs=logs, live=other)
+        MixedReplay(config(), toy.task(), gamma=GAMMA, logs=logs, live=other)
