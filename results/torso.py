@@ -20,7 +20,7 @@ from results.measure import SEED, SPLIT
 from results.stats import rate
 
 SPINE = HUMANOID.shared
-RESTARTS = 60
+RESTARTS = 20
 """Random postures that a search starts from, after the named ones, before a goal counts as out of reach."""
 EPISODES = 500
 
