@@ -23,7 +23,10 @@ from results.safe import kinematic
 
 SCENE = "table"
 KNOTS = (75, 150, 300, 600)
-METHODS: dict[str, dict[str, Any]] = {"paper": {"method": "paper", "dense": 1, "certify": False}, "local": {"method": "local", "ends": "soft"}}
+METHODS: dict[str, dict[str, Any]] = {
+    "paper": {"method": "paper", "dense": 1, "certify": False},
+    "local": {"method": "local", "ends": "soft"},
+}
 
 
 def measure(knots: tuple[int, ...] = KNOTS) -> tables.Table:
