@@ -40,6 +40,7 @@ from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
 from coordlog.smooth.knots import clean
 from coordlog.smooth.limits import Limits
+from coordlog.smooth.load import PathLoad
 from coordlog.smooth.smoother import smooth
 from tests.sim.plain import BOX, Plain, between, rotate, to_shape
 
@@ -47,13 +48,12 @@ OURS = {
     "local, 5 mm": {"method": "local", "ends": "soft", "clearance": 0.005},
     "local": {"method": "local", "ends": "soft"},
     "local, rest ends": {"method": "local", "ends": "rest"},
-    "local, from 1 Hz": {"method": "local", "ends": "soft", "cutoff": 1.0},
     "local, 0.1 rad": {"method": "local", "ends": "soft", "max_deviation": 0.1},
     "shared": {"method": "shared", "ends": "soft"},
     "paper, proven": {"method": "paper"},
     "paper, knots": {"method": "paper", "dense": 1, "certify": False},
 }
-EVERYWHERE = ("local, 5 mm",)
+EVERYWHERE = ("local, 5 mm", "local", "paper, proven", "paper, knots")
 """Of ours, what smooths every log; the rest smooth the logs that the peers do."""
 DENSE = 16
 
@@ -75,6 +75,7 @@ class Bench:
         began = process_time()
         self.checker = self.check()
         self.building = process_time() - began
+        self.load = PathLoad.of(peers.through(self.time, self.q), self.checker.inverse, self.knots.unit)
 
     def check(self):
         log = self.log
@@ -138,7 +139,14 @@ class Bench:
             "path": metrics.path_length(q) / metrics.path_length(self.q),
             "sparc": metrics.sparc(metrics.speed(q, dt), dt),
             "deviation": float(abs(spline(self.time) - self.q).max()) if n == len(self.time) else None,
-        }
+        } | self.effort(spline)
+
+    def effort(self, spline):
+        """What the path alone asks of servos and feet, next to the log; nothing for a path of another duration."""
+        if abs(spline.time[-1] - self.time[-1]) > 1e-9:
+            return {"path_torque": None, "floor": None, "zmp": None}
+        load = PathLoad.of(spline, self.checker.inverse, self.knots.unit)
+        return {"path_torque": load.rate / self.load.rate, "floor": load.floor / self.load.rate, "zmp": load.balance}
 
 
 def separation(half_a, a, half_b, b):
@@ -157,10 +165,12 @@ def separation(half_a, a, half_b, b):
 def limits_of(bench):
     """The limits that `coordlog smooth` sets."""
     fastest = fastest_of(bench.time, bench.q)
-    return Limits(bench.task.limits[:, 0], bench.task.limits[:, 1], speed=FASTER * np.maximum(bench.task.speeds, fastest))
+    return Limits(
+        bench.task.limits[:, 0], bench.task.limits[:, 1], speed=FASTER * np.maximum(bench.task.speeds, fastest), pace=bench.task.speeds
+    )
 
 
-def measure(bench, *, with_peers, with_plain, note):
+def measure(bench, *, with_peers, with_plain):
     """Rows of one log: method → figures."""
     rows = {}
     period, log, episode = bench.task.config.control_period, bench.log, bench.episode
@@ -190,6 +200,7 @@ def measure(bench, *, with_peers, with_plain, note):
             "found": result.status,
             "certified": result.certified,
             "checks": result.checks + result.slacks,
+            "ease": result.ease,
         }
     like = results["local, 5 mm"]
     scene = peers.PlainScene(
@@ -215,7 +226,7 @@ def measure(bench, *, with_peers, with_plain, note):
             continue
         if name == "paper, plainly":
             spline, ps = spline
-            note["p"] = max(note.get("p", 0.0), float(abs(results["paper, knots"].p - ps).max()))
+            rows["paper, knots"]["p_away"] = float(abs(results["paper, knots"].p - ps).max())
         row = rows[name] = bench.figures(spline) | {"cpu": cpu, "fault": bench.verify(spline), "torque": None, "executed": ""}
         if name != "toppra on the log":
             ran = follow(log, replace(like, spline=spline), bench.q, arrives=episode.result.success)
@@ -251,7 +262,7 @@ def table(all_rows, rng, scenes):
     print(
         f"\n{'method':26s} {'n':>3s} {'pass':>5s} {'exec ok':>7s}  {'jerk/log (95 %)':25s} {'acc':5s}  {'torque rate (95 %)':22s}", end=" "
     )
-    print("path  SPARC dev   CPU ms (95 %)")
+    print("path's torque rate    ZMP mm  path  SPARC dev   CPU ms (95 %)")
     for name in names:
         rows = [each[name] for each in all_rows if name in each]
 
@@ -263,9 +274,14 @@ def table(all_rows, rng, scenes):
             found = interval([row.get(key) for row in rows], rng)
             return "-" if found is None else f"{found[0]:.{digits}f}"
 
+        def least(key, rows=rows):
+            found = [row[key] for row in rows if row.get(key) is not None]
+            return f"{1e3 * min(found):.1f}" if found else "-"
+
         passed, fine = sum(not row["fault"] for row in rows), sum(not row["executed"] for row in rows)
         print(
             f"{name:26s} {len(rows):3d} {passed:5d} {fine:7d}  {shown('jerk'):25s} {middle('acceleration')}  {shown('torque', 1, 3):22s} "
+            f"{shown('path_torque', 1, 3):22s} {least('zmp'):6s} "
             f"{middle('path', 2):5s} {middle('sparc', 2)} {middle('deviation', 2):5s} {shown('cpu', 1e3, 0)}"
         )
     for name in OURS:
@@ -285,6 +301,8 @@ def ratios(all_rows, rng):
     for ours, other, key in (
         ("local", "paper, proven", "jerk"),
         ("local", "paper, proven", "torque"),
+        ("local", "paper, proven", "path_torque"),
+        ("local", "paper, knots", "path_torque"),
         ("local", "paper, proven", "cpu"),
         ("local", "paper, knots", "jerk"),
         ("local", "paper, knots", "cpu"),
@@ -292,11 +310,17 @@ def ratios(all_rows, rng):
         ("paper, knots", "paper, plainly", "cpu"),
         ("local", "OMPL simplify + min-jerk", "jerk"),
     ):
-        found = interval(
-            [rows[other][key] / rows[ours][key] for rows in all_rows if other in rows and ours in rows and rows[ours][key]], rng
-        )
+        each = [rows[other][key] / rows[ours][key] for rows in all_rows if other in rows and ours in rows and rows[ours][key]]
+        found = interval(each, rng)
         if found is not None:
-            print(f"  {key:7s} of {other:26s} / {ours:14s} {found[0]:8.2f} ({found[1]:.2f}-{found[2]:.2f})")
+            print(f"  {key:11s} of {other:26s} / {ours:14s} {found[0]:8.2f} ({found[1]:.2f}-{found[2]:.2f})   n = {len(each)}")
+    both = [rows for rows in all_rows if "local" in rows]
+    best = interval([rows["paper, proven"]["path_torque"] / rows["local"]["floor"] for rows in both], rng)
+    if best is not None:
+        print(f"  path_torque of the paper / the least that any path between the same ends has {best[0]:.2f} ({best[1]:.2f}-{best[2]:.2f})")
+    away = [rows["paper, knots"]["p_away"] for rows in all_rows if "p_away" in rows.get("paper, knots", {})]
+    if away:
+        print(f"  largest difference of p between `paper` and the plain version: {max(away):.1e}, n = {len(away)}")
 
 
 def growth(bench):
@@ -320,7 +344,11 @@ def main():
     parser.add_argument("--peers", type=int, default=5, help="logs of each scene that the other tools smooth too")
     parser.add_argument("--plain", type=int, default=2, help="logs of each scene for the paper written plainly")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--tables", type=Path, nargs="+", help="print the tables of these --json files, and measure nothing")
     arguments = parser.parse_args()
+    if arguments.tables:
+        found = [each for file in arguments.tables for each in json.loads(file.read_text())]
+        return show([each["rows"] for each in found], [each["scene"] for each in found])
     with tempfile.TemporaryDirectory() as folder:
         report(arguments, arguments.logs or recorded(Path(folder)))
 
@@ -348,23 +376,27 @@ def recorded(folder):
 
 def report(arguments, logs):
     """Measure every log, and print the tables."""
-    rng, all_rows, scenes, seen, note = np.random.default_rng(0), [], [], {}, {}
+    all_rows, scenes, seen = [], [], {}
     for path in find_files(logs).paths:
         bench = Bench(path)
         scene = bench.episode.header.episode["scene"]
         at = seen[scene] = seen.get(scene, -1) + 1
         if at >= arguments.count:
             continue
-        all_rows.append(measure(bench, with_peers=at < arguments.peers, with_plain=at < arguments.plain, note=note))
+        all_rows.append(measure(bench, with_peers=at < arguments.peers, with_plain=at < arguments.plain))
         scenes.append(scene)
         print(f"\r{len(all_rows)} logs", end="", file=sys.stderr, flush=True)
+        if arguments.json:
+            rows = [{"scene": at, "rows": rows} for at, rows in zip(scenes, all_rows, strict=True)]
+            arguments.json.write_text(json.dumps(rows, indent=1))
+    show(all_rows, scenes)
+    growth(bench)
+
+
+def show(all_rows, scenes):
+    rng = np.random.default_rng(0)
     table(all_rows, rng, scenes)
     ratios(all_rows, rng)
-    if "p" in note:
-        print(f"  largest difference of p between `paper` and the plain version: {note['p']:.1e}")
-    growth(bench)
-    if arguments.json:
-        arguments.json.write_text(json.dumps([{"scene": at, "rows": rows} for at, rows in zip(scenes, all_rows, strict=True)], indent=1))
 
 
 if __name__ == "__main__":

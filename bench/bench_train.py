@@ -113,7 +113,8 @@ def digrad(settings: Settings, size: int, *, tasks: int = 2) -> Callable[[], obj
         return torch.randn(size, width, generator=generator)
 
     ones = torch.ones(size, 1)
-    batch = Batch(numbers(N_X), numbers(N_U).clamp(-1, 1), numbers(tasks), numbers(N_X), 0.98 * ones, ones)
+    action = numbers(N_U).clamp(-1, 1)
+    batch = Batch(numbers(N_X), action, numbers(tasks), numbers(N_X), 0.98 * ones, ones, action)
     return lambda: learner.update(batch, behaviour_weight=1.0)
 
 

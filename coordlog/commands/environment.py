@@ -31,7 +31,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
 
 
-def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None) -> BatchEnv:
+def make_env(
+    scene: str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None, doubts: bool = True
+) -> BatchEnv:
     """The batched environment that the options describe; doubtful reward constants are said aloud.
 
     Args:
@@ -40,6 +42,7 @@ def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, th
         start: Name of the start pose.
         envs: Number of simulations.
         threads: Threads to simulate on.
+        doubts: Say what is doubtful; off for a second environment of the same constants.
         like: A `coordlog.env` record whose constants hold where the tables say nothing: those of the logs, or of a policy's training.
 
     Raises:
@@ -54,7 +57,7 @@ def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, th
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
     reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
-    if "reward" in tables:
+    if doubts and "reward" in tables:
         for doubt in reward.doubts():
             note(doubt)
     constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))

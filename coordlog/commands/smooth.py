@@ -52,7 +52,7 @@ def smooth(
     """
     from coordlog.smooth.config import Config
 
-    settings = {"method": method, "cutoff": cutoff or "max", "max_deviation": max_deviation, "clearance": clearance}
+    settings = {"method": method, "cutoff": "max" if cutoff is None else cutoff, "max_deviation": max_deviation, "clearance": clearance}
     Config.of(**settings)
     if report is not None and report.exists() and not force:
         raise StorageError(f"{report}: the file exists and is not overwritten; choose another name, or pass --force")
@@ -129,6 +129,9 @@ def _summary(rows: list[Json], settings: Json, *, wanted: int, seconds: float) -
             "jerk": _median([_ratio(each["before"]["jerk"], each["after"]["jerk"]) for each in done]),
             "acceleration": _median([_ratio(each["before"]["acceleration"], each["after"]["acceleration"]) for each in done]),
             "torque_rate": _median([_ratio(each["torque"]["before"]["rate"], each["torque"]["after"]["rate"]) for each in done]),
+            "path_torque_rate": _median(
+                [_ratio(*(each["path_torque"][at]["rate"] for at in ("before", "after"))) for each in done if "path_torque" in each]
+            ),
             "torque_peak": _median([_ratio(each["torque"]["before"]["peak"], each["torque"]["after"]["peak"]) for each in done]),
             "max_deviation": _median([each["after"]["max_deviation"] for each in done]),
             "cpu": _median([row["cpu"] for row in rows if not row["resumed"] and row["status"] != SKIPPED]),
@@ -181,6 +184,7 @@ def _show(summary: dict[str, Any], *, out: Path | None) -> None:
         ("jerk", share("jerk", "the log's (median, rest-padded RMS)")),
         ("acceleration", share("acceleration", "the log's")),
         ("torque rate", share("torque_rate", "the log's, executed")),
+        ("path's rate", share("path_torque_rate", "the log's, by inverse dynamics along the path alone")),
         ("peak torque", share("torque_peak", "the log's, executed")),
         ("deviation", "-" if median["max_deviation"] is None else f"{median['max_deviation']:.2f} rad from the log at most (median)"),
         ("time", f"{summary['seconds']:.1f} s, {(median['cpu'] or 0.0) * 1e3:.0f} ms of processor time for an episode (median)"),

@@ -56,7 +56,8 @@ def smooth_file(job: Job) -> Json:
         parameters, resumed = _smoothed(job)
         row |= {"status": parameters["status"], "reason": parameters["reason"], "resumed": resumed, "parameters": parameters}
     except CoordlogError as error:
-        row |= {"status": SKIPPED, "reason": str(error), "parameters": {}}
+        reason = str(error) if str(job.source) in str(error) else f"{job.source}: {error}"  # what knows no files names none
+        row |= {"status": SKIPPED, "reason": reason, "parameters": {}}
     return row | {"cpu": time.process_time() - began}
 
 
@@ -111,7 +112,7 @@ def smooth_episode(episode: Episode, attachments: dict[str, bytes], *, digest: s
     angles = episode.qpos[:, task.qpos_index]
     ends = "natural" if settings["method"] == "paper" else "soft"
     fastest = fastest_of(episode.time, angles, ends=ends)
-    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
+    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest), pace=task.speeds)
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(
         episode.time, angles, cast("DistanceChecker", checker), limits=limits, joints=task.robot.action_joints, ends=ends, **settings
@@ -161,6 +162,7 @@ def _parameters(raw: Episode, result: Result, execution: Execution, settings: Js
     import numpy as np
 
     from coordlog.sim.clearance import NEAR
+    from coordlog.smooth.load import PathLoad
 
     samples = np.linspace(raw.time[0], raw.time[-1], 2 * len(raw.time))
     apart = [checker.nearest(samples, np.stack([np.interp(samples, raw.time, q) for q in result.knots.position.T], axis=1))]
@@ -169,6 +171,8 @@ def _parameters(raw: Episode, result: Result, execution: Execution, settings: Js
     rows = zip(joints, result.p.tolist(), result.lam.tolist(), result.cutoff.tolist(), strict=True)
     ran, violation = execution.run, result.violation
     length = len(raw) if ran is None else len(ran.columns["action"])
+    before, after = (PathLoad.of(path, checker.inverse, result.knots.unit)._asdict() for path in (result.raw, result.spline))
+    margin = {"before": _number(before.pop("balance")), "after": _number(after.pop("balance"))}
     torques = {"before": execution.raw._asdict(), "after": execution.smoothed._asdict() if execution.smoothed else None}
     return {
         "settings": settings,
@@ -182,6 +186,8 @@ def _parameters(raw: Episode, result: Result, execution: Execution, settings: Js
         "after": {name: _number(value) for name, value in result.after._asdict().items()},
         "clearance": {"before": _number(apart[0]), "after": _number(apart[1]), "measured_up_to": NEAR},
         "torque": torques,
+        "path_torque": {"before": before, "after": after},
+        "zero_moment_margin": margin,
         "tracking_error": execution.away,
         "steps": {"before": len(raw), "after": length},
         "checks": result.checks,

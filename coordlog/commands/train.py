@@ -14,7 +14,7 @@ import typer
 from coordlog.commands import terminal
 from coordlog.commands.environment import TABLES, make_env, read_toml
 from coordlog.commands.logs import load_logs
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, ConfigError
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -88,7 +88,7 @@ def train(
         require_window()
     if tensorboard:
         require_tensorboard()
-    run = _begin(folder, said, logs, resume=resume)
+    run = _named(folder, said, wanted, resume=resume)
     if like and like["reward"] != said["env"]["reward"]:
         terminal.note("rewards are recomputed from logged distances and flags: the logs were recorded with other constants")
     with ExitStack() as stack:
@@ -100,8 +100,10 @@ def train(
         recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
         hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)
-        outcome = trainer.run(resume=resume)
-    _tell(outcome, folder)
+        if not resume:
+            _begin(folder, {**said, "recorder": run}, logs)
+        outcome = trainer.run(resume=resume and _has_checkpoint(folder))
+    _tell(outcome, folder, skipped=len(logs.skipped) if logs else 0)
 
 
 def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:
@@ -129,21 +131,34 @@ def _said(scene: str, mode: str, env: BatchEnv, settings: Settings, logs: Logs |
     }
 
 
-def _begin(folder: Path, said: Json, logs: Logs | None, *, resume: bool) -> str:
-    """Begin the run, or make sure that it is the same one; returns the name its recordings carry."""
+def _named(folder: Path, said: Json, settings: Settings, *, resume: bool) -> str:
+    """The name that the run's recordings carry; nothing is written before all parts of the run are known to fit."""
+    from coordlog.train import run as runs
+    from coordlog.train.settings import refuse_changes
+
+    if not resume:
+        runs.require_new(folder)
+        return uuid.uuid4().hex[:8]
+    before = runs.recall(folder)
+    runs.require_same(before, said, folder=folder)
+    refuse_changes(settings, before["settings"])
+    if not _has_checkpoint(folder):
+        terminal.note(f"{folder}: stopped before its first checkpoint; it begins again")
+    return str(before["recorder"])
+
+
+def _begin(folder: Path, said: Json, logs: Logs | None) -> None:
     from coordlog.train import run as runs
 
-    if resume:
-        before = runs.recall(folder)
-        runs.require_same(before, said, folder=folder)
-        return str(before["recorder"])
-    name = uuid.uuid4().hex[:8]
     data = zip(logs.episodes.column("digest").to_pylist(), logs.episodes.column("file").to_pylist(), strict=True) if logs else []
-    runs.begin(folder, {**said, "recorder": name}, data=list(data))
-    return name
+    runs.begin(folder, said, data=list(data))
 
 
-def _tell(outcome: Outcome, folder: Path) -> None:
+def _has_checkpoint(folder: Path) -> bool:
+    return (folder / "checkpoint.safetensors").exists()
+
+
+def _tell(outcome: Outcome, folder: Path, *, skipped: int) -> None:
     """How the run ended, what it achieved, and the exit code."""
     best = outcome.best or {}
     merit = f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}" if best else ""
@@ -158,3 +173,5 @@ def _tell(outcome: Outcome, folder: Path) -> None:
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
         terminal.out.print(f"coordlog record --policy {folder} --split test --episodes 200", highlight=False)
+    if skipped:
+        raise typer.Exit(EXIT_PARTIAL)

@@ -49,7 +49,7 @@ class Judge:
         self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, run: str, episodes: int, window: Live | None = None
     ) -> None:
         self._run, self._window = run, window
-        self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like)
+        self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like, doubts=False)
         self._folder, self._episodes = folder, episodes
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float]:

@@ -17,18 +17,17 @@ import numpy as np
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.sim.attached import load_model
-from coordlog.sim.balance import CONTACT_HEIGHT, support_margin
 from coordlog.sim.config import EnvConfig, from_mapping
+from coordlog.sim.footing import FALLING, Footing
+from coordlog.sim.inverse import Inverse
 from coordlog.sim.levers import Levers, moved
+from coordlog.sim.logged import Logged
 from coordlog.sim.pairs import contact_pairs, neighbours
 from coordlog.sim.robot import Robot
-from coordlog.sim.scene import sole_corner
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 NEAR = 0.08
 """Distances up to this are measured [m]; pairs whose bounding spheres are further apart get that lower bound."""
-FALLING = -0.1
-"""Margin of balance [m] where there is no support at all; what is less than no margin is not a distance anyway."""
 NEVER = -1e3  # m: a contact margin that no contact meets
 
 
@@ -70,14 +69,10 @@ class SceneChecker:
         self._model, self._data = copy(model), mujoco.MjData(model)
         mujoco.mj_setState(model, self._data, initial, STATE)
         self._model.pair_margin[:] = NEVER  # soles on the floor
-        self._time, self._logged, self._margin = time, qpos, config.balance_margin
-        levers = Levers(model)
-        try:
-            self._joints = [model.joint(name).id for name in robot.action_joints]
-            self._corners = [model.site(sole_corner(sole, i)).id for sole in robot.soles for i in range(4)]
-        except KeyError as error:
-            raise FormatError(f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}") from error
-        self._places: Array = model.jnt_qposadr[self._joints]
+        self._time, self._margin, levers = time, config.balance_margin, Levers(model)
+        self._logged = Logged(model, robot, time=time, qpos=qpos)
+        self._footing, self._joints = Footing(model, robot, self._logged), self._logged.joints
+        self._corners = self._footing.corners
         mass = model.body_mass * (model.body_rootid == model.body_rootid[model.jnt_bodyid[self._joints[0]]])
         self._mass = mass / mass.sum()
         self.pairs = contact_pairs(model, levers, set(self._joints))
@@ -85,13 +80,13 @@ class SceneChecker:
         self._keep = ~neighbours(model, self.pairs)  # those pairs that keep a clearance
         self._index = np.full((model.ngeom, model.ngeom), -1)
         self._index[self.pairs[:, 0], self.pairs[:, 1]] = self._index[self.pairs[:, 1], self.pairs[:, 0]] = np.arange(len(self.pairs))
+        self.inverse = Inverse(model, self._logged, self._footing)
         bounds = self._bounds(levers)
         self.reach: Array = bounds[:, self._joints]
         """Metres by which a radian of each action joint changes the distance of each pair, at most, (P, n_u)."""
-        self._standing = self._low(qpos)
         self._drift = np.delete(_speeds(model, time, qpos), self._joints, axis=1) @ np.delete(bounds, self._joints, axis=1).T
         if self._corners:  # a corner that comes to or leaves the floor changes the balance at once
-            lifted = np.flatnonzero(np.diff(self._standing, axis=0).any(axis=1))
+            lifted = np.flatnonzero(np.diff(self._footing.standing, axis=0).any(axis=1))
             self._drift[np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1), -1] = np.inf
 
     @classmethod
@@ -119,7 +114,7 @@ class SceneChecker:
         depth, what = np.zeros(n), np.full(n, -1)
         com, corners = np.zeros((n, 2)), np.zeros((n, len(self._corners), 3))
         here, mid, site = data.qpos, data.xipos, data.site_xpos
-        for i, row in enumerate(self._whole(time, q)):
+        for i, row in enumerate(self._logged.whole(time, q)):
             here[:] = row
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
@@ -137,9 +132,14 @@ class SceneChecker:
             depth, what = np.where(worse, short, depth), np.where(worse, balance, what)
         return Verdict(what < 0, depth, what)
 
+    def moving(self, time: Array, q: Array, velocity: Array, acceleration: Array) -> Verdict:
+        """Judge the zero-moment point of n states of the action joints, (n, n_u) each: over the feet, with the task's margin."""
+        short = self._margin - self.inverse(time, q, velocity, acceleration).balance
+        return Verdict(short <= 0.0, np.maximum(short, 0.0), np.where(short > 0.0, len(self.pairs) + 1, -1))
+
     def slack(self, time: Array, q: Array, clearance: float) -> Array:
         """Distance left to each pair, (n, P) [m]: exact up to NEAR, beyond it a lower bound; and the margin of balance."""
-        bodies = self._place(self._whole(time, q))
+        bodies = self._place(self._logged.whole(time, q))
         distance = self._apart(bodies.centre)
         row, pair = np.nonzero(distance < clearance + NEAR)
         model, data, last = self._model, self._data, -1
@@ -169,24 +169,10 @@ class SceneChecker:
 
     def describe(self, what: int) -> str:
         """Name a pair."""
-        if what == len(self.pairs):
-            return "the centre of mass and the edge of its support"
+        if what >= len(self.pairs):
+            return f"the {'centre of mass' if what == len(self.pairs) else 'zero-moment point'} and the edge of its support"
         first, second = (self._model.geom(int(geom)).name for geom in self.pairs[what])
         return f"{first} and {second}"
-
-    def _whole(self, time: Array, q: Array) -> Array:
-        """Configurations of the whole model, (n, n_q): the log's, linear in time, with the action joints at q."""
-        last = len(self._time) - 1
-        after = np.clip(np.searchsorted(self._time, time), 1, last)
-        before = after - 1
-        share = np.clip((time - self._time[before]) / (self._time[after] - self._time[before]), 0.0, 1.0)[:, None]
-        a, b = self._logged[before], self._logged[after]
-        qpos = a + share * (b - a)
-        for place in _quaternions(self._model):
-            turn = a[:, place] * (1.0 - share) + b[:, place] * (share * np.sign((a[:, place] * b[:, place]).sum(axis=1, keepdims=True)))
-            qpos[:, place] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-        qpos[:, self._places] = q
-        return np.asarray(qpos)
 
     def _place(self, qpos: Array) -> Bodies:
         model, data, n = self._model, self._data, len(qpos)
@@ -216,18 +202,8 @@ class SceneChecker:
         return np.asarray(bound)
 
     def _balance(self, time: Array, com: Array, corners: Array) -> Array:
-        """Margin of the centre of mass over the feet, less the one the task asks for, (n,) [m].
-
-        A corner counts if it is on the floor at both logged configurations around: what counts then changes at logged times only.
-        """
-        before = np.clip(np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1)
-        after = np.minimum(before + 1, len(self._time) - 1)
-        corners[..., 2] = np.where(self._standing[before] & self._standing[after], 0.0, 1.0)
-        return np.asarray(np.maximum(support_margin(com, corners) - self._margin, FALLING))
-
-    def _low(self, qpos: Array) -> Array:
-        """Which corners of the soles are on the floor, (T, C) bool."""
-        return np.asarray(self._place(qpos).corners[..., 2] < CONTACT_HEIGHT)
+        """Margin of the centre of mass over the feet, less the one the task asks for, (n,) [m]."""
+        return np.asarray(np.maximum(self._footing.margin(time, com, corners) - self._margin, FALLING))
 
     def _bounds(self, levers: Levers) -> Array:
         """Metres by which each pair's slack changes, at most, (P, n_jnt + 1): per radian of each joint, and per metre of the base."""
@@ -248,11 +224,6 @@ class SceneChecker:
             for joint in levers.above(body):
                 feet[joint] = max(feet[joint], levers.lever(joint, body, model.site_pos[site]))
         return np.concatenate([bounds, balance + feet])
-
-
-def _quaternions(model: mujoco.MjModel) -> list[slice]:
-    free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    return [slice(int(place) + 3, int(place) + 7) for place in free]
 
 
 def _speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:

@@ -21,7 +21,7 @@ ATTEMPTS = 200
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal beyond the palm's own size."""
 PALM_RADIUS = 0.02
-MIDDLE = 0.5
+MIDDLE = 0.35
 """Goals that are a random posture's palms: the share of every joint's range, around its middle, that the posture is drawn from. Over the
 whole range most postures are only reached by way of others."""
 

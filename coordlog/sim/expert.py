@@ -20,14 +20,14 @@ GAIN_STEPS = 4.0
 """An error is meant to be gone after this many steps at the speed it asks for; fewer would overshoot behind the command filter."""
 ARRIVED = 0.15
 """A way point is passed within this distance of every joint [rad]."""
-NEAR = 0.12
+NEAR = 0.06
 """Palm correction starts within this distance of the last way point [rad]."""
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
-CLEARANCES = (0.01, 0.0)
+CLEARANCES = (0.03, 0.02, 0.01, 0.0)
 RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
-TRIES = 12
+TRIES = 60
 """Random changes to the via poses when no known way is free."""
 SPREAD = 0.35
 """Standard deviation of the random changes to the via poses when no known way is free [rad]."""
@@ -110,8 +110,9 @@ class Expert:
                     if self._clear([start, *vias, end], clearance):
                         return [*vias, end]
         low, high = self._task.limits.T
+        spread = SPREAD * self._moves * self._step / self._step.max()  # a slow spine's detour would take the whole episode
         for _ in range(TRIES):
-            vias = [np.clip(via + SPREAD * self._moves * rng.standard_normal(len(via)), low, high) for via in ways[0]]
+            vias = [np.clip(via + spread * rng.standard_normal(len(via)), low, high) for via in ways[0]]
             for end in ends:
                 if self._clear([start, *vias, end], CLEARANCES[-1]):
                     return [*vias, end]

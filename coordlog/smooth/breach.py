@@ -19,6 +19,7 @@ class Kind(IntEnum):
     ACCELERATION = 3  # rad/s²
     DEVIATION = 4  # rad
     UNPROVEN = 5  # m: free at every sample, but the certificate cannot be closed here
+    MOTION = 6  # m: what a checker says about velocity and acceleration
 
 
 @dataclass(frozen=True, eq=False)

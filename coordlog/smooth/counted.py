@@ -6,8 +6,9 @@ import numpy as np
 
 from coordlog.errors import SpecError
 from coordlog.smooth.arrays import Floats
-from coordlog.smooth.breach import Breaches, Kind, breaches
-from coordlog.smooth.feasibility import Checker, DistanceChecker, Verdict
+from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
+from coordlog.smooth.feasibility import Checker, DistanceChecker, MovingChecker, Verdict
+from coordlog.smooth.spline import Spline
 
 
 class BudgetSpentError(Exception):
@@ -21,6 +22,7 @@ class Counted:
         """Wrap a checker, without a limit."""
         self._checker = checker
         self._distances = checker if isinstance(checker, DistanceChecker) else None
+        self._moving = checker if isinstance(checker, MovingChecker) else None
         self.checks, self.slacks = 0, 0
         self.budget: int | None = None
         self.describe = checker.describe
@@ -54,6 +56,21 @@ class Counted:
         assert self._distances is not None
         return self._distances.drift(start, stop)
 
+    def moving(self, path: Spline) -> Breaches:
+        """Ask `MovingChecker.moving` at the knots of a path; nothing where the checker has no such rule.
+
+        Raises:
+            SpecError: if the answer has a wrong shape.
+        """
+        if self._moving is None:
+            return NONE
+        self.checks += len(path.time)
+        self._stop()
+        verdict = self._moving.moving(path.time, path.position, path.velocity, path(path.time, 2))
+        _expect(verdict, len(path.time), "moving")
+        free, depth, what = verdict
+        return breaches(Kind.MOTION, path.time[~free], depth[~free], what[~free])
+
     def worst(self, time: Floats, q: Floats, clearance: float) -> Breaches:
         """Ask `check`; the worst pair of each configuration that is not free."""
         return _refused(time, self.check(time, q, clearance))
@@ -70,8 +87,7 @@ class Counted:
         """
         n, n_j = q.shape
         verdict = self.check(time, q, clearance)
-        if any(np.shape(part) != (n,) for part in verdict):
-            raise SpecError(f"checker.check: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
+        _expect(verdict, n, "check")
         if not self.measures:
             return _refused(time, verdict)
         slack = self.slack(time, q, clearance)
@@ -83,6 +99,11 @@ class Counted:
     def _stop(self) -> None:
         if self.budget is not None and self.checks + self.slacks > self.budget:
             raise BudgetSpentError
+
+
+def _expect(verdict: Verdict, n: int, name: str) -> None:
+    if any(np.shape(part) != (n,) for part in verdict):
+        raise SpecError(f"checker.{name}: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
 
 
 def _refused(time: Floats, verdict: Verdict) -> Breaches:

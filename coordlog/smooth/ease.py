@@ -13,29 +13,30 @@ from coordlog.smooth.arrays import Floats
 from coordlog.smooth.config import Config
 from coordlog.smooth.spline import Grid, Spline
 
-LONGEST = 15
-"""Knots over which an end is eased, at most; half the path if that is shorter. A longer ease saves little more jerk and costs speed in
-the middle, which servos may not have."""
+EASE = 15
+"""Knots over which an end is eased while a path is searched for; half the path if that is shorter."""
+LONGER = (60, 40, 25)
+"""What the ends of the path that was found may be eased over instead, if it stays proven: less jerk, for more speed in the middle."""
 
 
-def grid_for(time: Floats, config: Config) -> Grid:
-    """The grid that fits over these knots (n,) [s], with the ends that the options ask for."""
-    return EasedGrid(time) if config.ends == "soft" else Grid(time, clamped=config.clamped)
+def grid_for(time: Floats, config: Config, *, ease: int = EASE) -> Grid:
+    """The grid that fits over these knots (n,) [s], with the ends that the options ask for, eased over so many knots."""
+    return EasedGrid(time, ease=ease) if config.ends == "soft" else Grid(time, clamped=config.clamped)
 
 
 class EasedGrid(Grid):
     """Fits at rest at both ends, with no acceleration there; λ is that of the stretch between the eased ends."""
 
-    def __init__(self, time: Floats) -> None:
-        """Prepare fits over `time` [s], shape (n,), n ≥ 2, strictly increasing."""
+    def __init__(self, time: Floats, *, ease: int = EASE) -> None:
+        """Prepare fits over `time` [s], shape (n,), n ≥ 2, strictly increasing, with ends eased over so many knots."""
         span, left = float(time[-1] - time[0]), time - time[0]
-        ease = min(span / 2.0, LONGEST * float(np.median(np.diff(time))))
-        u = np.clip(np.minimum(left, span - left) / ease, 0.0, 1.0)
+        width = min(span / 2.0, ease * float(np.median(np.diff(time))))
+        u = np.clip(np.minimum(left, span - left) / width, 0.0, 1.0)
         # The integral of √(v (2 - v)) from 0 to u, π/4 at u = 1; beyond it the two times run alike.
-        passed = ease * (0.5 * (u - 1.0) * np.sqrt(u * (2.0 - u)) + 0.5 * np.arcsin(u - 1.0) + np.pi / 4.0)
-        whole = ease * np.pi / 2.0 + span - 2.0 * ease
-        middle = ease * np.pi / 4.0 + left - ease
-        slow = np.where(left < ease, passed, np.where(span - left < ease, whole - passed, middle))
+        passed = width * (0.5 * (u - 1.0) * np.sqrt(u * (2.0 - u)) + 0.5 * np.arcsin(u - 1.0) + np.pi / 4.0)
+        whole = width * np.pi / 2.0 + span - 2.0 * width
+        middle = width * np.pi / 4.0 + left - width
+        slow = np.where(left < width, passed, np.where(span - left < width, whole - passed, middle))
         super().__init__(slow, clamped=True)
         self._clock, self._rate = time, np.sqrt(u * (2.0 - u))[:, None]
 

@@ -138,7 +138,7 @@ def _lead(result: Result, time: Array, ahead: Array) -> Spline:
     knots = result.knots
     at_knots = np.stack([np.interp(knots.time, time, column) for column in ahead.T], axis=1)
     ends = np.zeros((2, ahead.shape[1])) if result.config.clamped else None
-    return grid_for(knots.time, result.config).fit_each(at_knots, lam=result.lam, weight=result.weight, velocity=ends)
+    return grid_for(knots.time, result.config, ease=result.ease).fit_each(at_knots, lam=result.lam, weight=result.weight, velocity=ends)
 
 
 def _away(ran: Run, path: Spline, places: Array) -> float:

@@ -99,6 +99,18 @@ class DistanceChecker(Checker, Protocol):
         ...
 
 
+@runtime_checkable
+class MovingChecker(Checker, Protocol):
+    """A checker that also has a rule about motion, such as the zero-moment point staying over the feet.
+
+    It is asked once about each path that everything else lets pass, at the knots: a cubic spline accelerates most at one of them.
+    """
+
+    def moving(self, time: Floats, q: Floats, velocity: Floats, acceleration: Floats) -> Verdict:
+        """Judge a block of states, (n, n_j) each in rad, rad/s and rad/s²; depths [m] are comparable among themselves."""
+        ...
+
+
 class Unobstructed:
     """A checker for paths with nothing to hit: only the limits hold."""
 

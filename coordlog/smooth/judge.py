@@ -51,6 +51,7 @@ class Judge:
             raise ConfigError("certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples")
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
+        self._pace = limits.paces(knots.position.shape[1])
         self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._config = knots, config
         self.raw = Raw(raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths)
@@ -65,12 +66,23 @@ class Judge:
             hot: Indices of samples that are likely to fail, asked first.
             lenient: Excuse all that the raw path does wrong too, see `Raw.excuses`.
         """
-        proof = self._prove(spline, hot=hot, lenient=lenient)
+        proof = self.sampled(spline, hot=hot, lenient=lenient)
+        return proof if len(proof.found) else self.between(spline, proof, lenient=lenient)
+
+    def between(self, spline: Spline, proof: Proof, *, lenient: bool) -> Proof:
+        """Finish what `sampled` began: the certificate."""
+        return self._noted(self._between(spline, proof.excused, lambda found: self.raw.excuses(found, lenient=lenient)))
+
+    def sampled(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
+        """As `prove`, but for the certificate: not yet a proof of what lies between the samples."""
+        return self._noted(self._sampled(spline, hot, lenient))
+
+    def _noted(self, proof: Proof) -> Proof:
         if len(proof.found):
             self.failed = proof.found
         return proof
 
-    def _prove(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
+    def _sampled(self, spline: Spline, hot: Ints | None, lenient: bool) -> Proof:
         excused = self.raw.ends
         for look in self._looks(spline, hot):
             excuse = self.raw.excuses(look, lenient=lenient)
@@ -80,10 +92,14 @@ class Judge:
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
             excused = excused + look
-        return self._between(spline, excused, lambda found: self.raw.excuses(found, lenient=lenient))
+        return Proof(NONE, excused, certified=False)
 
     def _every(self, spline: Spline, time: Floats) -> Breaches:
         return self.asked.every(time, spline(time), self._config.clearance)
+
+    def outpaces(self, spline: Spline) -> bool:
+        """Whether a joint is faster than `Limits.pace`."""
+        return len(limit_breaches(spline, (*self.widths[:2], self._pace, self.widths[3]))) > 0
 
     def collides(self, spline: Spline, found: Breaches) -> bool:
         """Whether a contact found is more than being closer than the clearance."""
@@ -127,6 +143,7 @@ class Judge:
                 fresh[index] = False
                 time = self.samples.time[index]
                 yield self.asked.worst(time, self.samples(spline, index), self._config.clearance)
+        yield self.asked.moving(spline)
 
     def _deviation(self, spline: Spline) -> Breaches:
         if self._config.max_deviation is None:

@@ -25,6 +25,8 @@ class Limits:
     """Largest |q'| [rad/s]."""
     acceleration: ArrayLike | None = None
     """Largest |q''| [rad/s²]."""
+    pace: ArrayLike | None = None
+    """Largest |q'| [rad/s] that longer soft ends may ask for; None: as far as `speed` goes."""
     tolerance: float = 1e-3
     """Overshoot of the range [rad] that is let pass: joint stops of a simulator are soft, and logs ride them."""
 
@@ -34,17 +36,26 @@ class Limits:
         Raises:
             SpecError: if a limit has another shape, is NaN, or leaves a joint no room.
         """
-        bounds = (self.lower, -np.inf), (self.upper, np.inf), (self.speed, np.inf), (self.acceleration, np.inf)
-        arrays = []
-        for name, (value, otherwise) in zip(("lower", "upper", "speed", "acceleration"), bounds, strict=True):
-            array = np.asarray(otherwise if value is None else value, dtype=float)
-            if array.shape not in ((), (n_j,)) or np.isnan(array).any():
-                raise SpecError(f"limits.{name}: expected one number or {n_j}, none of them NaN, got {value}")
-            arrays.append(np.broadcast_to(array, (n_j,)))
-        lower, upper, speed, acceleration = arrays
+        lower, upper = _each("lower", self.lower, -np.inf, n_j), _each("upper", self.upper, np.inf, n_j)
+        speed, acceleration = _each("speed", self.speed, np.inf, n_j), _each("acceleration", self.acceleration, np.inf, n_j)
         if (lower > upper).any() or (speed <= 0.0).any() or (acceleration <= 0.0).any():
             raise SpecError("limits: expected lower ≤ upper, and speed and acceleration above zero")
         return lower - self.tolerance, upper + self.tolerance, speed, acceleration
+
+    def paces(self, n_j: int) -> Floats:
+        """The pace as an array of shape (n_j,).
+
+        Raises:
+            SpecError: if it has another shape or is NaN.
+        """
+        return _each("pace", self.speed if self.pace is None else self.pace, np.inf, n_j)
+
+
+def _each(name: str, value: ArrayLike | None, otherwise: float, n_j: int) -> Floats:
+    array = np.asarray(otherwise if value is None else value, dtype=float)
+    if array.shape not in ((), (n_j,)) or np.isnan(array).any():
+        raise SpecError(f"limits.{name}: expected one number or {n_j}, none of them NaN, got {value!r}")
+    return np.broadcast_to(array, (n_j,))
 
 
 def limit_breaches(spline: Spline, widths: tuple[Floats, Floats, Floats, Floats]) -> Breaches:

@@ -13,12 +13,15 @@ import numpy as np
 
 from coordlog.smooth.arrays import Floats, Ints
 from coordlog.smooth.breach import Breaches, Kind
+from coordlog.smooth.metrics import jerk_of
 from coordlog.smooth.problem import Candidate, Problem
+from coordlog.smooth.spline import Spline
 
 _ROUNDS = 100  # each halves the distance to the samples somewhere; 30 take a radian below a nanoradian
 _PATIENCE = 12  # rounds for which a breach that the raw path commits too is fought, or one only the certificate sees
 _SPREAD = 6  # times a knot is named before the knots next to it are drawn on too
 _STIFF = 1e-24  # rad per unit of force: weights grow no further
+_WORTH = 0.95  # of the jerk: what a longer ease must come down to, being another path to prove
 _INSIDE = 1.5  # of an overshoot: how far inside its range a joint's samples are moved there
 
 
@@ -32,10 +35,16 @@ def local(problem: Problem) -> Iterator[Candidate]:
 def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
     judge, lam = problem.judge, problem.lam_max
     weight, target = problem.knots.weight, problem.knots.position
-    hot, named, unproven = np.zeros(0, np.intp), np.zeros(len(weight), int), 0
+    hot, named, unproven, tried = np.zeros(0, np.intp), np.zeros(len(weight), int), 0, False
     for turn in range(_ROUNDS if len(weight) > 2 else 1):
         spline = problem.fit(lam, weight=weight, target=target)
-        proof = judge.prove(spline, hot=hot, lenient=lenient)
+        proof = judge.sampled(spline, hot=hot, lenient=lenient)
+        if not len(proof.found) and not tried:
+            softer, tried = _softer(problem, spline, weight, target, lenient=lenient), True
+            if softer is not None:
+                return softer
+        if not len(proof.found):
+            proof = judge.between(spline, proof, lenient=lenient)
         if not len(proof.found):
             return problem.candidate(spline, lam, proof, weight)
         if not lenient and turn >= _PATIENCE and judge.raw.excuses(proof.found, lenient=True).any():
@@ -46,6 +55,21 @@ def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
         hot = np.union1d(hot, judge.samples.nearest(proof.found.time))
         target = _moved_inside(problem, target, proof.found)
         weight = _raised(problem, weight, lam, _spread(named, _around(problem, proof.found.time)))
+    return None
+
+
+def _softer(problem: Problem, spline: Spline, weight: Floats, target: Floats, *, lenient: bool) -> Candidate | None:
+    """The same fit with its ends eased over more knots, if it is worth it: the longest ease that is proven, or none.
+
+    An ease moves speed from the ends to the middle, so the pace that the joints can keep decides as well.
+    """
+    worth = _WORTH * jerk_of(spline, problem.knots)
+    for eased in problem.eased():
+        softer = eased.fit(problem.lam_max, weight=weight, target=target)
+        if jerk_of(softer, problem.knots) < worth and not problem.judge.outpaces(softer):
+            proof = problem.judge.prove(softer, lenient=lenient)
+            if not len(proof.found):
+                return eased.candidate(softer, problem.lam_max, proof, weight)
     return None
 
 

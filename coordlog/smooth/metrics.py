@@ -36,18 +36,27 @@ class Metrics(NamedTuple):
 
 def measure(path: Spline, knots: Knots) -> Metrics:
     """Figures of a path, sampled at the log's median period, and how far it lies from the log."""
-    n = max(2, round((path.time[-1] - path.time[0]) / knots.unit) + 1)
-    time, dt = np.linspace(path.time[0], path.time[-1], n, retstep=True)
-    q, away = path(time), abs(path(knots.time) - knots.position)
+    (q, dt), away = _uniform(path, knots), abs(path(knots.time) - knots.position)
     return Metrics(
-        jerk=jerk(q, float(dt)),
-        acceleration=acceleration(q, float(dt)),
-        sparc=sparc(speed(q, float(dt)), float(dt)),
-        ldlj=log_dimensionless_jerk(q, float(dt)),
+        jerk=jerk(q, dt),
+        acceleration=acceleration(q, dt),
+        sparc=sparc(speed(q, dt), dt),
+        ldlj=log_dimensionless_jerk(q, dt),
         path_length=path_length(q),
         max_deviation=float(away.max()),
         end_error=float(away[[0, -1]].max()),
     )
+
+
+def jerk_of(path: Spline, knots: Knots) -> float:
+    """The jerk of `Metrics` alone."""
+    return jerk(*_uniform(path, knots))
+
+
+def _uniform(path: Spline, knots: Knots) -> tuple[Floats, float]:
+    n = max(2, round((path.time[-1] - path.time[0]) / knots.unit) + 1)
+    time, dt = np.linspace(path.time[0], path.time[-1], n, retstep=True)
+    return path(time), float(dt)
 
 
 def jerk(q: Floats, dt: float) -> float:

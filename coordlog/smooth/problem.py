@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from coordlog.smooth.arrays import Floats
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
+from coordlog.smooth.ease import EASE, LONGER, grid_for
 from coordlog.smooth.judge import Judge, Proof
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.spline import Grid, Spline
@@ -24,6 +26,8 @@ class Candidate:
     lam: Floats  # (n_j,) s³
     weight: Floats  # (K,)
     proof: Proof
+    ease: int
+    """Knots over which soft ends are eased."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,14 @@ class Problem:
     """Slopes at the ends, (2, n_j) rad/s; None: natural ends."""
     judge: Judge
     config: Config
+    ease: int = EASE
+    """Knots over which the grid eases soft ends."""
+
+    def eased(self) -> Iterator[Problem]:
+        """The same with soft ends eased over more knots, as far as the path is long enough to tell, the longest first."""
+        for shorter, ease in zip((*LONGER[1:], EASE), LONGER, strict=False):
+            if self.config.ends == "soft" and 2 * shorter < len(self.knots.time):
+                yield replace(self, grid=grid_for(self.knots.time, self.config, ease=ease), ease=ease)
 
     def fit(self, lam: float, *, weight: Floats | None = None, target: Floats | None = None) -> Spline:
         """The smoothing spline of all joints for one λ [s³]; weights and samples default to those of the knots."""
@@ -52,9 +64,10 @@ class Problem:
     def lam_max(self) -> float:
         """λ [s³] of the lowest cut-off asked for; "max" is half a period in the whole path."""
         asked = 0.5 / (self.knots.time[-1] - self.knots.time[0]) if self.config.cutoff == "max" else float(self.config.cutoff)
-        return min(float(lam_from_cutoff(asked, self.grid.unit)), _LAM_MAX * self.grid.unit**3)
+        unit = self.knots.unit
+        return min(float(lam_from_cutoff(asked, unit)), _LAM_MAX * unit**3)
 
     def candidate(self, spline: Spline, lam: float | Floats, proof: Proof, weight: Floats | None = None) -> Candidate:
         """Wrap up a path that was proven."""
         each = np.broadcast_to(np.asarray(lam, dtype=float), self.knots.position.shape[1:])
-        return Candidate(spline, each, self.knots.weight if weight is None else weight, proof)
+        return Candidate(spline, each, self.knots.weight if weight is None else weight, proof, self.ease)

@@ -16,7 +16,7 @@ from coordlog.smooth.spline import Spline
 _ABOUT = 4  # knots by which a collision may come earlier or later than in the raw path
 _ALIKE = 1e-4  # m: depths that count as the same
 _BLOCK = 512  # samples surveyed at once; each costs a number for every pair
-_LIMITS = (Kind.RANGE, Kind.SPEED, Kind.ACCELERATION)
+_LIMITS = (Kind.RANGE, Kind.SPEED, Kind.ACCELERATION, Kind.MOTION)
 
 
 class Raw:
@@ -38,15 +38,16 @@ class Raw:
 
         Being closer to something than the clearance, as long as it is no closer than the end points are (if lenient: than
         the raw path is anywhere). If lenient, also a collision of a pair that collides in the raw path about then and as
-        deeply, and a limit of a joint that the raw path exceeds by as much.
+        deeply, and a limit of a joint, or a rule about motion, that the raw path exceeds by as much.
         """
         if not lenient:
             near: Bools = (found.kind == Kind.CONTACT) & (found.depth <= np.minimum(self._clearance, _worst(self.ends, found)))
             return near
         excused = np.zeros(len(found), bool)
         for i in np.flatnonzero(np.isin(found.kind, _LIMITS)):
-            same = (self._limits.kind == found.kind[i]) & (self._limits.what == found.what[i])
-            excused[i] = found.depth[i] <= self._limits.depth[same].max(initial=0.0)
+            known = self._motion if found.kind[i] == Kind.MOTION else self._limits
+            same = (known.kind == found.kind[i]) & (known.what == found.what[i])
+            excused[i] = found.depth[i] <= known.depth[same].max(initial=0.0)
         contact = found.kind == Kind.CONTACT
         if contact.any():
             deep = found.depth > self._clearance
@@ -60,6 +61,10 @@ class Raw:
         for index in (every[i : i + _BLOCK] for i in range(0, len(every), _BLOCK)):
             found = found + self._asked.every(self._samples.time[index], self._samples(self._spline, index), self._clearance)
         return found
+
+    @cached_property
+    def _motion(self) -> Breaches:
+        return self._asked.moving(self._spline)
 
     def _then(self, found: Breaches) -> Bools:
         """Which pairs are in contact in the raw path at about the same time too."""

@@ -29,20 +29,24 @@ class Violation(NamedTuple):
     """One rule that is broken, for people."""
 
     kind: str
-    """contact, range, speed, acceleration, deviation or unproven."""
+    """contact, range, speed, acceleration, deviation, unproven or motion."""
     time: float
     """Within the path [s]."""
     what: str
     """The pair as the checker describes it, or the joint."""
     depth: float
-    """By how much: m for contact, otherwise rad, rad/s, rad/s²."""
+    """By how much: m for contact and motion, otherwise rad, rad/s, rad/s²."""
 
     def __str__(self) -> str:
         """As part of a sentence."""
         if self.kind == "unproven":
             return f"{self.what} at {self.time:.3f} s, too close to be proven free"
         unit = {"contact": "m too close", "range": "rad out of range", "speed": "rad/s too fast"}
-        unit |= {"acceleration": "rad/s² too much acceleration", "deviation": "rad too far from the log"}
+        unit |= {
+            "acceleration": "rad/s² too much acceleration",
+            "deviation": "rad too far from the log",
+            "motion": "m too close while moving",
+        }
         return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {unit[self.kind]}"
 
 
@@ -59,9 +63,13 @@ class Result:
     certified: bool
     """Proven free between samples too: at the clearance asked, or without touching for the pairs that fall short of it."""
     spline: Spline
+    raw: Spline
+    """The interpolant of the knots with the same ends, which the figures `before` are of."""
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
     lam: Floats  # (n_j,) s³, 0 for a joint left raw
+    ease: int
+    """Knots over which soft ends are eased."""
     checks: int
     """Configurations the checker decided on."""
     slacks: int

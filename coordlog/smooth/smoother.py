@@ -76,9 +76,11 @@ def smooth(
         violation=violation,
         certified=best.proof.certified,
         spline=best.spline,
+        raw=problem.raw,
         knots=knots,
         weight=best.weight,
         lam=best.lam,
+        ease=best.ease,
         checks=problem.judge.asked.checks,
         slacks=problem.judge.asked.slacks,
         before=measure(problem.raw, knots),
@@ -140,7 +142,7 @@ def _kept(problem: Problem, spent: bool, names: Sequence[str]) -> tuple[str, str
     """The verdict where no candidate was proven: the raw path, and whether that is free."""
     raw, n_j = problem.raw, problem.knots.position.shape[1]
     failed, proof = problem.judge.failed, problem.judge.survey(problem.raw)
-    kept = Candidate(raw, np.zeros(n_j), problem.knots.weight, proof)
+    kept = Candidate(raw, np.zeros(n_j), problem.knots.weight, proof, problem.ease)
     if len(proof.found) and _unsafe(problem, raw, proof.found):
         violation = _worst(problem, proof.found, names)
         return RAW_INFEASIBLE, f"the log itself breaks a rule, and no path was found that does not: {violation}", violation, kept
@@ -158,5 +160,5 @@ def _worst(problem: Problem, found: Breaches, names: Sequence[str]) -> Violation
     """The deepest breach of the gravest kind."""
     i = int(np.lexsort((-found.depth, found.kind))[0])
     kind, what = Kind(int(found.kind[i])), int(found.what[i])
-    text = problem.judge.asked.describe(what) if kind in (Kind.CONTACT, Kind.UNPROVEN) else names[what]
+    text = problem.judge.asked.describe(what) if kind in (Kind.CONTACT, Kind.UNPROVEN, Kind.MOTION) else names[what]
     return Violation(kind.name.lower(), float(found.time[i]), text, float(found.depth[i]))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
+
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
 from coordlog.sim.reward import Flags, rewards
 from coordlog.sim.state import StateView
 from coordlog.train.relabel import GoalView, RewardFunction
-from coordlog.train.task import Task
+from coordlog.train.task import Motion, Task
 
 FARTHEST = 2.0
 """A palm is taken to be no further from its goal than this many workspace radii; bounds the return."""
@@ -33,6 +35,7 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         reward=reward_function(reward or from_mapping(RewardConfig, env["reward"])),
         farthest=FARTHEST * env["robot"]["reach"],
         view=goal_view(env),
+        motion=motion(env),
         spheres=StateView.from_json(env).places.get("spheres"),
     )
 
@@ -48,6 +51,15 @@ def goal_view(env: Json) -> GoalView:
     difference = view.places.get("difference")
     palms, goals = view.places["palms"], view.places["goals"]
     return GoalView(palms, goals, difference, view.offset, view.scale, config.goal_radius, config.boundary_radius)
+
+
+def motion(env: Json) -> Motion:
+    """How far an action moves the joints in one step of a `coordlog.env` record."""
+    view, config, robot = StateView.from_json(env), from_mapping(EnvConfig, env["config"]), env["robot"]
+    angles = view.places["angles"]
+    shared = np.isin(env["action_joints"], robot["shared"]) & bool(robot["soles"])
+    speeds = np.where(shared, config.shared_speed, config.speed)
+    return Motion(angles, speeds * config.control_period / view.scale[angles])
 
 
 def require_alike(first: Json, other: Json, *, where: str) -> None:

@@ -120,10 +120,11 @@ class ReplayBuffer:
         """The states that the steps of some rows (n,) led to, (n, n_x)."""
         return self.take("next_state", rows)
 
-    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
         """As `Store.later`."""
         step = self._rows["step"].take(rows)
-        return self.next_state(self._after(rows, draw_later(rng, step, self._last_step(rows), horizon) - step))
+        ahead = draw_later(rng, step, self._last_step(rows), horizon) - step
+        return self._after(rows, ahead), ahead + 1
 
     def clean(self, rows: Array, horizon: int) -> Array:
         """As `Store.clean`."""

@@ -107,7 +107,8 @@ class LearnerConfig:
 class BehaviourConfig:
     """Pull towards what was done, w · mean((μ(s) - a)²) in the actor's loss: on samples of logs, and on live ones in hindsight.
 
-    What was done is a good way to where it led, whoever did it (Ghosh et al. 2021, GCSL), so it teaches to reach from the first steps on.
+    What was done is a good way to where it led, whoever did it (Ghosh et al. 2021, GCSL), so it teaches to reach from the first steps on;
+    in hindsight it is the steady motion from here to there that is imitated, not its detours (`replay.moved`).
     Samples that a collision or fall follows within `replay.horizon` steps are left out.
     """
 

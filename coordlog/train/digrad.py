@@ -34,6 +34,7 @@ class Batch(NamedTuple):
     next_state: Tensor  # (B, n_x) after them
     discount: Tensor  # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an end
     imitated: Tensor  # (B, 1) weight of the behaviour term
+    wanted: Tensor  # (B, n_u) action that it pulls towards
 
 
 class Update(NamedTuple):
@@ -153,7 +154,7 @@ class Learner:
         with torch.no_grad():
             q = q.detach()
             size = len(q) * (q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1)
-            away = leaf - batch.action
+            away = leaf - batch.wanted
             behaviour = (away.square() * batch.imitated).mean()
             pull = away * batch.imitated * (2 * behaviour_weight / away.numel()) + leaf * (2 * effort / leaf.numel())
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()

@@ -121,9 +121,10 @@ class LogReplay:
         states[ends] = self._final[episode[ends]]
         return states
 
-    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
         """As `Store.later`."""
-        return self.next_state(draw_later(rng, rows, self._last.take(self._episode.take(rows)), horizon))
+        then = draw_later(rng, rows, self._last.take(self._episode.take(rows)), horizon)
+        return then, then - rows + 1
 
     def clean(self, rows: Array, horizon: int) -> Array:
         """As `Store.clean`."""

@@ -13,7 +13,7 @@ from coordlog.train.config import ReplayConfig
 from coordlog.train.digrad import Batch
 from coordlog.train.relabel import GoalView, RewardFunction, outcome, reorder, set_goals
 from coordlog.train.returns import Return, n_step
-from coordlog.train.task import Task
+from coordlog.train.task import Motion, Task
 
 
 class Arrays(NamedTuple):
@@ -25,12 +25,13 @@ class Arrays(NamedTuple):
     next_state: Array  # (B, n_x)
     discount: Array  # (B, 1)
     imitated: Array  # (B, 1)
+    wanted: Array  # (B, n_u)
 
     @classmethod
     def empty(cls, size: int, widths: tuple[int, int, int]) -> Arrays:
         """Room for `size` transitions of widths n_x, n_u and k."""
         n_x, n_u, k = widths
-        return cls(*(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1, 1)))
+        return cls(*(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1, 1, n_u)))
 
     def rows(self, part: slice) -> Arrays:
         """Views of some of the rows."""
@@ -65,8 +66,8 @@ class Store(Protocol):
         """Rows of the n steps from each row on, (size, n), and which of them are of its episode; the others repeat the last that is."""
         ...
 
-    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> Array:
-        """Next states (n, n_x) of a row drawn uniformly from each row to the last stored one of its episode, or up to a horizon."""
+    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
+        """A row drawn uniformly from each row to the last stored one of its episode, or up to a horizon, and the steps it takes, (n,)."""
         ...
 
     def clean(self, rows: Array, horizon: int) -> Array:
@@ -75,7 +76,7 @@ class Store(Protocol):
 
 
 def transitions(store: Store, rows: Array, out: Arrays, *, n: int, gamma: float) -> None:
-    """Write transitions over n steps as they were; `imitated` is left alone."""
+    """Write transitions over n steps as they were; `imitated` and `wanted` are left alone."""
     index, within = store.ahead(rows, n)
     found = n_step(store.take("reward", index), store.take("terminated", index), within, gamma=gamma)
     out.state[:], out.action[:] = store.take("state", rows), store.take("action", rows)
@@ -91,7 +92,7 @@ class Asked(NamedTuple):
 
 
 def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, *, n: int, gamma: float) -> None:
-    """Write transitions over n steps as if other goals had been asked for; `imitated` is left alone.
+    """Write transitions over n steps as if other goals had been asked for; `imitated` and `wanted` are left alone.
 
     Goals, differences, rewards and endings are those of the new goals; collision and instability are as stored.
     """
@@ -106,6 +107,15 @@ def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, *, n: int
     _lead(store, index, found, out)
     set_goals(view, out.state, goals)
     set_goals(view, out.next_state, goals)
+
+
+def moved(motion: Motion, state: Array, reached: Array, steps: Array) -> Array:
+    """The steady action whose motion leads from states to states some steps later, (B, n_u): what was done without its detours.
+
+    Pushing against a stop moves nothing, and so is not imitated.
+    """
+    distance = reached[:, motion.angles] - state[:, motion.angles]
+    return np.asarray(np.clip(distance / (motion.stride * steps[:, None]), -1.0, 1.0))
 
 
 def _lead(store: Store, index: Array, found: Return, out: Arrays) -> None:
@@ -180,11 +190,15 @@ class MixedReplay:
         if count > 0:
             view = self._task.view
             assert view is not None
-            goals = view.points(store.later(rng, rows[:count], config.horizon), view.palms)
-            part, asked = out.rows(slice(0, count)), Asked(goals, view, self._task.reward)
+            then, steps = store.later(rng, rows[:count], config.horizon)
+            reached = store.next_state(then)
+            part, asked = out.rows(slice(0, count)), Asked(view.points(reached, view.palms), view, self._task.reward)
             in_hindsight(store, rows[:count], part, asked, n=config.n_step, gamma=self._gamma)
+            part.wanted[:] = part.action if self._task.motion is None else moved(self._task.motion, part.state, reached, steps)
         if count < len(rows):
-            transitions(store, rows[count:], out.rows(slice(count, None)), n=config.n_step, gamma=self._gamma)
+            part = out.rows(slice(count, None))
+            transitions(store, rows[count:], part, n=config.n_step, gamma=self._gamma)
+            part.wanted[:] = part.action
         out.imitated[:count, 0], out.imitated[count:, 0] = imitation
         if any(imitation):
             out.imitated[:, 0] *= store.clean(rows, config.horizon)

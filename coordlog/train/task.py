@@ -13,6 +13,14 @@ from coordlog.train.policy import Policy
 from coordlog.train.relabel import GoalView, RewardFunction
 
 
+class Motion(NamedTuple):
+    """Joint angles in a state, one per action in the order of actions, and how far an action moves them."""
+
+    angles: slice
+    stride: Array
+    """Change of each entry in one step at action 1, (n_u,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """One robot in one scene, as numbers: widths, which arm each action serves, and the reward."""
@@ -29,6 +37,8 @@ class Task:
     """Greatest distance between a palm and its goal [m], for the bounds of the return."""
     view: GoalView | None = None
     """Where palms and goals stand in the state; without it there are no goals in hindsight."""
+    motion: Motion | None = None
+    """What an action does to the state's joint angles; without it, what was done is imitated as it was done."""
     spheres: slice | None = None
     """Where the state lists spheres, `relabel.SPHERE` entries each, if it does; their order means nothing."""
 

@@ -83,6 +83,10 @@ def test_an_output_says_where_it_comes_from_and_carries_its_path(logs: Path, smo
     assert all(0 < joint["p"] < 1 for joint in parameters["joints"])
     assert parameters["after"]["jerk"] < parameters["before"]["jerk"]
     assert parameters["torque"]["after"]["rate"] < parameters["torque"]["before"]["rate"]
+    before, after = (parameters["path_torque"][at] for at in ("before", "after"))
+    assert after["floor"] < after["rate"] < before["rate"]
+    assert after["floor"] == pytest.approx(before["floor"], rel=0.05)
+    assert parameters["zero_moment_margin"]["after"] > 0.01
     assert parameters["clearance"]["after"] >= 0.005
     assert parameters["tracking_error"] < 0.02
     assert episode.header.policy["kind"] == "scripted, smoothed"
@@ -185,8 +189,11 @@ def test_inputs_that_are_no_use_are_named_and_the_rest_is_done(logs: Path, tmp_p
     write_episode(folder / "aborted.mcap", aborted, attachments=read_attachments(source), display=False)
     bare = read_episode(source)
     write_episode(folder / "bare.mcap", bare, attachments={}, display=False)
+    lost = bare.qpos.copy()
+    lost[-1] = float("nan")
+    write_episode(folder / "lost.mcap", replace(bare, qpos=lost), attachments=read_attachments(source), display=False)
     done = run("smooth", folder, "--out", out, wanted=3)
-    for name in ("empty.mcap", "cut.mcap", "aborted.mcap", "live.mcap.part"):
+    for name in ("empty.mcap", "cut.mcap", "aborted.mcap", "live.mcap.part", "bare.mcap", "lost.mcap"):
         assert name in said(done), name
     assert "no model attached" in said(done)
     assert [path.name for path in out.iterdir()] == ["good.mcap"]
@@ -227,6 +234,7 @@ def test_a_falling_log_is_called_infeasible(tmp_path: Path) -> None:
     [
         (("--method", "magic"), "unknown method 'magic'; choose one of: local, paper, shared"),
         (("--cutoff", "-1"), "cutoff"),
+        (("--cutoff", "0"), "cutoff"),
         (("--max-deviation", "0"), "max_deviation"),
         (("--clearance", "-0.1"), "clearance"),
     ],

@@ -7,7 +7,7 @@ import pytest
 
 from coordlog.smooth import Unobstructed, smooth
 from coordlog.smooth.config import Config
-from coordlog.smooth.ease import LONGEST, EasedGrid, grid_for
+from coordlog.smooth.ease import EASE, EasedGrid, grid_for
 from coordlog.smooth.spline import Grid
 
 
@@ -49,7 +49,7 @@ def test_far_from_the_ends_the_fit_is_the_usual_one():
     soft, rest = (
         grid.fit(q, lam=lam, weight=ends_exact(n), velocity=np.zeros((2, 3))) for grid in (EasedGrid(time), Grid(time, clamped=True))
     )
-    middle = slice(LONGEST + 65, n - LONGEST - 65)
+    middle = slice(EASE + 65, n - EASE - 65)
     assert abs(soft.position - rest.position)[middle].max() < 1e-6
     assert abs(soft.velocity - rest.velocity)[middle].max() < 1e-5
 

@@ -38,7 +38,8 @@ def batch(rng: np.random.Generator, k: int, *, size: int = B, imitated: float = 
         return torch.tensor(rng.normal(size=shape), dtype=torch.get_default_dtype())
 
     discount = DDPG.gamma * (draw(size, 1) <= 1).to(torch.get_default_dtype())
-    return Batch(draw(size, N_X), draw(size, N_U).clamp(-1, 1), draw(size, k), draw(size, N_X), discount, torch.full((size, 1), imitated))
+    action, weight = draw(size, N_U).clamp(-1, 1), torch.full((size, 1), imitated)
+    return Batch(draw(size, N_X), action, draw(size, k), draw(size, N_X), discount, weight, draw(size, N_U).clamp(-1, 1))
 
 
 def learner(arms: dict[str, list[int]], *, network: NetworkConfig = PLAIN, config: LearnerConfig = DDPG, seed: int = 0) -> Learner:
@@ -222,7 +223,7 @@ def test_the_behaviour_term_pulls_where_actions_are_imitated(combination: str, r
     update = with_pull.update(data, behaviour_weight=3.0)
     without.update(data)
     fresh = learner(TWO_ARMS)
-    away = (half * (fresh.actor(data.state) - data.action).square()).mean()
+    away = (half * (fresh.actor(data.state) - data.wanted).square()).mean()
     parts = torch.autograd.grad(3.0 * away, tuple(fresh.actor.parameters()))
     torch.testing.assert_close(gradient(with_pull) - gradient(without), torch.cat([part.reshape(-1) for part in parts]))
     torch.testing.assert_close(update.behaviour, away.detach())
@@ -362,7 +363,7 @@ def test_two_tasks_that_share_an_action_are_solved(combination: str, optimum: li
     made = Learner(1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0)
     for _ in range(1000):
         state, action = (torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3))
-        made.update(Batch(state, action, two_tasks(action), state, torch.zeros(64, 1), torch.zeros(64, 1)))
+        made.update(Batch(state, action, two_tasks(action), state, torch.zeros(64, 1), torch.zeros(64, 1), action))
     with torch.no_grad():
         found = made.actor(torch.linspace(-1, 1, 50)[:, None])
     torch.testing.assert_close(found, torch.tensor(optimum).expand_as(found), rtol=0, atol=0.15)

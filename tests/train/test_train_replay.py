@@ -15,7 +15,9 @@ from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.train.buffer import Block, ReplayBuffer
 from coordlog.train.config import ReplayConfig
 from coordlog.train.logs import Columns, LogReplay
-from coordlog.train.replay import Arrays, MixedReplay, Store, transitions
+from coordlog.train.relabel import outcome
+from coordlog.train.replay import Arrays, Asked, MixedReplay, Store, in_hindsight, moved, transitions
+from coordlog.train.task import Motion
 
 WIDTHS = (toy.N_X, toy.N_U, 2)
 GAMMA = 0.9
@@ -77,14 +79,14 @@ def test_later_states_of_logs_stay_in_their_episode(rng: np.random.Generator) ->
     store = LogReplay(columns, toy.reward)
     rows = store.draw(rng, 500)
     episode = np.repeat(np.arange(12), columns.length)
-    later = store.later(rng, rows, 0)
+    later = store.next_state(store.later(rng, rows, 0)[0])
     following = read(store, np.arange(len(store))).next_state
     for row, state in zip(rows, later, strict=True):
         places = np.flatnonzero((following == state).all(axis=1) & (episode == episode[row]))
         assert len(places)
         assert places.max() >= row
     last = np.cumsum(columns.length) - 1
-    np.testing.assert_array_equal(store.later(rng, last, 0), columns.final)
+    np.testing.assert_array_equal(store.next_state(store.later(rng, last, 0)[0]), columns.final)
 
 
 def test_arrow_tables_become_columns_over_the_same_memory() -> None:
@@ -195,7 +197,9 @@ def test_later_states_follow_the_lane_around_the_end_of_the_buffer(rng: np.rando
         buffer.add(numbered(5, first=first, lanes=3))  # episodes of four slots; slot 29 is in the middle of one
     rows = np.repeat(np.arange(len(buffer)), 50)
     now = read(buffer, rows).state[:, 0].astype(int)
-    later = buffer.later(rng, rows, 0)[:, 0] - 0.5
+    then, steps = buffer.later(rng, rows, 0)
+    later = buffer.next_state(then)[:, 0] - 0.5
+    np.testing.assert_array_equal(steps, later - now + 1)
     ends = np.minimum(now // 4 * 4 + 3, 29)
     assert ((now <= later) & (later <= ends)).all()
     for slot in range(19, 30):
@@ -209,7 +213,9 @@ def test_later_states_are_of_the_same_lane_and_episode(rng: np.random.Generator)
     rows = buffer.draw(rng, 400)
     view = toy.view()
     goals = view.points(read(buffer, rows).state, view.goals)
-    np.testing.assert_array_equal(view.points(buffer.later(rng, rows, 0), view.goals), goals)  # goals differ between episodes
+    np.testing.assert_array_equal(
+        view.points(buffer.next_state(buffer.later(rng, rows, 0)[0]), view.goals), goals
+    )  # goals differ between episodes
 
 
 @pytest.mark.parametrize("slots", [7, 1000])
@@ -235,6 +241,7 @@ def test_a_buffer_continues_exactly_from_its_segments(slots: int, tmp_path: Path
     for one, other in zip(read(through, rows), read(second, rows), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(through.later(np.random.default_rng(0), rows, 0), second.later(np.random.default_rng(0), rows, 0))
+    np.testing.assert_array_equal(through.clean(rows, 0), second.clean(rows, 0))
     second.save(tmp_path)
     third = made()
     third.load(tmp_path, total=30)
@@ -352,12 +359,39 @@ def test_several_steps_of_an_episode_are_summed_as_one_by_one(kind: str, rng: np
         np.testing.assert_array_equal(found.next_state[place], following)
 
 
+def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(rng: np.random.Generator) -> None:
+    store, view = LogReplay(toy.logs(12), toy.reward), toy.view()
+    rows = store.draw(rng, 200)
+    goals = view.points(store.next_state(store.later(rng, rows, 8)[0]), view.palms)
+    out = Arrays.empty(200, WIDTHS)
+    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), n=4, gamma=GAMMA)
+    index, within = store.ahead(rows, 4)
+    for place in range(200):
+        reward, discount = np.zeros(2), 1.0
+        for row, inside in zip(index[place], within[place], strict=True):
+            if not inside:
+                break
+            palms = view.points(store.next_state(np.array([row])), view.palms)
+            mishaps = {name: store.take(name, np.array([row])) for name in ("collision", "instability")}
+            found = outcome(view, toy.reward, palms=palms, goals=goals[place][None], **mishaps)
+            reward, discount, last = reward + discount * found.reward[0], discount * GAMMA, palms[0]
+            if found.terminated[0]:
+                discount = 0.0
+                break
+        np.testing.assert_allclose(out.reward[place], reward, rtol=1e-5)
+        np.testing.assert_allclose(out.discount[place], discount, rtol=1e-6)
+        np.testing.assert_allclose(view.points(out.next_state[place][None], view.palms)[0], last)
+    assert 0.3 < (out.discount == 0).mean() < 0.95, "some goals are reached within the four steps, some are not"
+    np.testing.assert_allclose(view.points(out.state, view.goals), goals, atol=1e-6)
+    np.testing.assert_array_equal(out.state[:, view.goals], out.next_state[:, view.goals])
+
+
 def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -> None:
     buffer = ReplayBuffer(40, 1, widths=WIDTHS, reward=toy.reward)
     block = numbered(40)
     buffer.add(block._replace(episode=np.zeros_like(block.episode), step=np.arange(40)[:, None]))
     rows = np.repeat(np.arange(40), 100)
-    ahead = buffer.later(rng, rows, 6)[:, 0] - 0.5 - rows
+    ahead = buffer.next_state(buffer.later(rng, rows, 6)[0])[:, 0] - 0.5 - rows
     assert set(ahead) == set(range(6))
     assert (ahead + rows).max() == 39
 
@@ -383,6 +417,18 @@ def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.G
     replay = MixedReplay(asked, toy.task(), gamma=GAMMA, logs=logs, live=live)
     imitated = replay.sample(rng).imitated[:, 0].numpy()
     np.testing.assert_array_equal(imitated, np.repeat([1.0, 0.5, 0.0], [16, 4, 12]))  # nothing goes wrong in these episodes
+
+
+def test_a_steady_motion_is_imitated_in_hindsight_and_what_was_done_otherwise(rng: np.random.Generator) -> None:
+    motion = Motion(slice(3, 5), np.array([0.1, 0.2]))
+    state, reached = np.zeros((3, 8), np.float32), np.zeros((3, 8), np.float32)
+    reached[:, 3:5] = [[0.4, -0.4], [0.0, 0.1], [9.0, -9.0]]
+    np.testing.assert_allclose(moved(motion, state, reached, np.array([8, 1, 2])), [[0.5, -0.25], [0.0, 0.5], [1.0, -1.0]], rtol=1e-6)
+    _, live = stores()
+    task = replace(toy.task(), motion=Motion(slice(0, toy.N_U), np.full(toy.N_U, 0.01)))
+    batch = MixedReplay(config(hindsight=0.5, horizon=1), task, gamma=GAMMA, live=live).sample(rng)
+    same = (batch.wanted == batch.action).all(dim=1).numpy()
+    np.testing.assert_array_equal(same, np.arange(32) >= 16)
 
 
 def test_stores_that_cannot_be_mixed_are_refused() -> None:
