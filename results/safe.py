@@ -104,7 +104,7 @@ def safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
     checker = SceneChecker(where.log.model, task.robot, task.config, time=rolled.time, qpos=rolled.qpos, initial=where.log.start)
     angles = rolled.qpos[:, task.qpos_index]
     fastest = fastest_of(rolled.time, angles)
-    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest))
+    limits = Limits(task.limits[:, 0], task.limits[:, 1], speed=FASTER * np.maximum(task.speeds, fastest), pace=task.speeds)
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(
         rolled.time, angles, cast("Any", checker), limits=limits, joints=task.robot.action_joints, ends="soft", clearance=CLEARANCE
