@@ -60,6 +60,7 @@ def section(found: Tables) -> str:
     """What the spine is worth, scene by scene."""
     names = (
         "scene",
+        "problems",
         "posture exists, torso free",
         "torso locked",
         "expert clean, free",
@@ -73,7 +74,7 @@ def section(found: Tables) -> str:
         texts = [cells.share(reach[torso]) if reach else "not run" for torso in tables.TORSOS]
         for row in ("expert", "digrad-logs"):
             texts += [cells.good(tables.of_row(found, row, scene, torso=torso), "3 cm", "clean") for torso in tables.TORSOS]
-        lines.append(cells.line(scene, *texts))
+        lines.append(cells.line(scene, cells.problems([reach]) if reach else "", *texts))
     return ABOUT.format(restarts=RESTARTS) + "\n".join(lines) + "\n"
 
 

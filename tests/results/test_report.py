@@ -59,9 +59,9 @@ def test_every_table_is_called_what_it_is_and_belongs_to_a_row(found: dict[str, 
 
 def test_a_row_that_has_no_table_says_so() -> None:
     text = scene_table({"table-expert": made("expert", "table", 500)}, "table")
-    assert row_of(text, "DiGrad live")[1:3] == ["", "not run"]
+    assert row_of(text, "DiGrad live")[1:4] == ["", "", "not run"]
     assert row_of(text, "DiGrad from logs")[-1] == "not run"
-    assert row_of(text, "Scripted expert")[1:4] == ["1", "100.0 % (99.2-100.0)", "100.0 % (99.2-100.0)"]
+    assert row_of(text, "Scripted expert")[1:5] == ["1", "500", "100.0 % (99.2-100.0)", "100.0 % (99.2-100.0)"]
     assert len({len(line.split("|")) for line in text.strip().splitlines()}) == 1, "every line has every column"
 
 
@@ -69,14 +69,14 @@ def test_several_seeds_are_counted_and_span_a_range() -> None:
     both = {str(seed): made("digrad-live", "free", count, seed=seed) for seed, count in enumerate((497, 489, 500))}
     cells = row_of(scene_table(both, "free"), "DiGrad live")
     assert cells[1] == "3"
-    assert cells[3] == "99.0 % (97.8-100.0)"  # 1486 of 1500 is 99.07
-    assert cells[5] == "1.0 % (0.0-2.2)"
+    assert cells[4] == "99.0 % (97.8-100.0)"  # 1486 of 1500 is 99.07
+    assert cells[6] == "1.0 % (0.0-2.2)"
 
 
 def test_a_target_is_met_or_missed_by_so_much() -> None:
-    assert row_of(shipped({"a": made("shipped", "table", 495)}), "table")[3] == "met"
-    assert row_of(shipped({"a": made("shipped", "table", 494)}), "table")[3] == "missed by 0.2 points"
-    assert row_of(shipped({"a": made("shipped", "spheres", 600, of=1000)}), "spheres")[3] == "missed by 35.0 points"
+    assert row_of(shipped({"a": made("shipped", "table", 495)}), "table")[4] == "met"
+    assert row_of(shipped({"a": made("shipped", "table", 494)}), "table")[4] == "missed by 0.2 points"
+    assert row_of(shipped({"a": made("shipped", "spheres", 600, of=1000)}), "spheres")[4] == "missed by 35.0 points"
 
 
 def test_a_claim_without_a_table_is_not_run_and_one_with_follows_its_numbers() -> None:
