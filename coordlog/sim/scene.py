@@ -130,7 +130,7 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
 
     Args:
         scene: What to build.
-        config: Decides whether the zero-moment point's sensor is needed.
+        config: Decides whether the zero-moment point's and the last links' sensors are needed.
         radii: Radii of the spheres [m]; without them the scene's largest.
 
     Raises:
@@ -151,6 +151,8 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
     _mocap_bodies(world, scene, radii)
     _soles(root, scene.robot)
     _sensors(_section(root, "sensor"), scene.robot, config, base=base)
+    if scene.spheres and "nearness" in config.state_extras:
+        _links(root, scene.robot)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -163,6 +165,11 @@ def goal_body(arm: str) -> str:
 def palm_sensor(arm: str) -> str:
     """Name of the sensor that reads an arm's palm position."""
     return f"palm_{arm}"
+
+
+def link_sensor(arm: str) -> str:
+    """Name of the sensor that reads where an arm's last link, which bears its palm, begins."""
+    return f"link_{arm}"
 
 
 def sphere_geom(index: int) -> str:
@@ -215,6 +222,15 @@ def _sensors(sensor: ET.Element, robot: Robot, config: EnvConfig, *, base: str) 
                 ET.SubElement(sensor, "framepos", name=sole_corner(sole, i), objtype="site", objname=sole_corner(sole, i))
         if config.balance == "com+zmp":
             ET.SubElement(sensor, "subtreelinvel", name="com_velocity", body=base)
+
+
+def _links(root: ET.Element, robot: Robot) -> None:
+    """Sensors of where each arm's last link begins."""
+    bearers = {str(site.get("name")): str(body.get("name")) for body in root.iter("body") for site in body.findall("site")}
+    for arm in robot.arms:
+        if arm.palm not in bearers:
+            raise ConfigError(f"robot '{robot.name}': expected a site called '{arm.palm}' as a palm, found none")
+        ET.SubElement(_section(root, "sensor"), "framepos", name=link_sensor(arm.name), objtype="xbody", objname=bearers[arm.palm])
 
 
 def _first(parent: ET.Element, tag: str, robot: Robot) -> ET.Element:
