@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import mujoco
 import numpy as np
 
@@ -28,6 +30,8 @@ class Levers:
             kind, body = model.jnt_type[joint], model.jnt_bodyid[joint]
             if kind != hinge and not (kind == free and model.body_parentid[body] == 0):
                 raise FormatError(f"joint '{model.joint(joint).name}': expected hinges on at most one free base, got another kind of joint")
+        tree = (model.body_parentid, model.body_pos, model.jnt_bodyid, model.jnt_type, model.jnt_pos, model.jnt_axis)
+        self._known = _known(b"".join(column.tobytes() for column in tree))
         self._anchors = np.zeros(model.nbody)
         np.add.at(self._anchors, model.jnt_bodyid, 2.0 * np.linalg.norm(model.jnt_pos, axis=1))
 
@@ -49,6 +53,12 @@ class Levers:
             point: In the frame of the body, shape (3,) [m].
             extent: Radius about the point [m].
         """
+        key = (joint, body, point.tobytes(), extent)
+        if key not in self._known:
+            self._known[key] = self._lever(joint, body, point, extent)
+        return self._known[key]
+
+    def _lever(self, joint: int, body: int, point: Array, extent: float) -> float:
         model, home = self._model, int(self._model.jnt_bodyid[joint])
         while body != home:
             extent += float(np.linalg.norm(point)) + float(self._anchors[body])
@@ -57,6 +67,12 @@ class Levers:
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
             arm = arm - (arm @ model.jnt_axis[joint]) * model.jnt_axis[joint]
         return float(np.linalg.norm(arm)) + extent
+
+
+@lru_cache(maxsize=8)
+def _known(tree: bytes) -> dict[tuple[int, int, bytes, float], float]:
+    """Levers found so far for a kinematic tree: the episodes of a scene have a model each, and all the same tree."""
+    return {}
 
 
 def moved(model: mujoco.MjModel, levers: Levers) -> tuple[Array, Array]:

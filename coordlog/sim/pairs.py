@@ -26,7 +26,8 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
     )
     special = np.sort(np.stack([model.pair_geom1, model.pair_geom2]), axis=0)
     excluded |= np.isin(first * model.ngeom + second, special[0] * model.ngeom + special[1])
-    driven = np.array([[joint in levers.above(int(body)) for joint in sorted(joints)] for body in model.geom_bodyid])
+    above = [levers.above(body) for body in range(model.nbody)]
+    driven = np.array([[joint in above[body] for joint in sorted(joints)] for body in model.geom_bodyid])
     apart = (driven[first] != driven[second]).any(axis=1)
     keep = (masks > 0) & ~kin & ~excluded & apart
     return np.stack([first[keep], second[keep]], axis=1)
@@ -34,11 +35,12 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
 
 def neighbours(model: mujoco.MjModel, pairs: Array) -> Array:
     """Which pairs belong to bodies of one robot that are few links apart, (P',) bool."""
+    parents = model.body_parentid.tolist()
     lines: list[list[int]] = []
     for body in model.geom_bodyid[pairs].ravel().tolist():
         line = [body]
         while line[-1]:
-            line.append(int(model.body_parentid[line[-1]]))
+            line.append(parents[line[-1]])
         lines.append(line[:-1])  # without the world
     links = [
         min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)
