@@ -11,9 +11,9 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.sim.ik import Reach
 
-SAFE = 0.015
+SAFE = 0.03
 """Distance from a link's surface to a sphere at which it may not come any closer [m]."""
-NEAR = 0.07
+NEAR = 0.12
 """Spheres further away than this do not matter [m]."""
 CLOSING = 0.5
 """Share of the distance that is left to `SAFE` by which a link may come closer in one step."""
