@@ -26,8 +26,7 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
     )
     special = np.sort(np.stack([model.pair_geom1, model.pair_geom2]), axis=0)
     excluded |= np.isin(first * model.ngeom + second, special[0] * model.ngeom + special[1])
-    above = [levers.above(body) for body in range(model.nbody)]
-    driven = np.array([[joint in above[body] for joint in sorted(joints)] for body in model.geom_bodyid])
+    driven = np.array([[joint in levers.above(int(body)) for joint in sorted(joints)] for body in model.geom_bodyid])
     apart = (driven[first] != driven[second]).any(axis=1)
     keep = (masks > 0) & ~kin & ~excluded & apart
     return np.stack([first[keep], second[keep]], axis=1)
@@ -35,15 +34,18 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
 
 def neighbours(model: mujoco.MjModel, pairs: Array) -> Array:
     """Which pairs belong to bodies of one robot that are few links apart, (P',) bool."""
-    parents = model.body_parentid.tolist()
-    lines: list[list[int]] = []
-    for body in model.geom_bodyid[pairs].ravel().tolist():
+    lines: dict[int, list[int]] = {}
+    for body in np.unique(model.geom_bodyid[pairs]).tolist():
         line = [body]
         while line[-1]:
-            line.append(parents[line[-1]])
-        lines.append(line[:-1])  # without the world
-    links = [
-        min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)
-        for a, b in zip(lines[::2], lines[1::2], strict=True)
-    ]
+            line.append(int(model.body_parentid[line[-1]]))
+        lines[body] = line[:-1]  # without the world
+    bodies = [tuple(pair) for pair in model.geom_bodyid[pairs].tolist()]
+    apart = {pair: _links(*(lines[body] for body in pair)) for pair in set(bodies)}
+    links = [apart[pair] for pair in bodies]
     return np.array(links, dtype=np.int64) <= NEIGHBOURS
+
+
+def _links(a: list[int], b: list[int]) -> int:
+    """Links between the bodies at the start of two lines to the base; more than NEIGHBOURS where they do not meet."""
+    return min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)
