@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import TABLES, make_env, read_toml
+from coordlog.commands.environment import TABLES, make_env, read_toml, scene_of
 from coordlog.commands.logs import load_logs
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def train(
     source: Annotated[list[Path] | None, typer.Option("--from", help="Folders of logs to learn from; may be repeated.")] = None,
     live: Annotated[bool, typer.Option(help="Simulate as well, if there are logs; without --from it always does.")] = False,
-    scene: Annotated[str, typer.Option(help="Scene to simulate; by default that of the logs.")] = "",
+    scene: Annotated[str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")] = "",
     where: Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")] = "",
     preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
     config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
@@ -62,6 +62,8 @@ def train(
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import Judge, Progress, assemble, record_training, require_window, watch
+    from coordlog.sim.scene import find
+    from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
     from coordlog.train.task import Hooks
 
@@ -79,11 +81,15 @@ def train(
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
-    scene = scene or (logs.episodes.column("scene")[0].as_py() if logs else "table")
+    asked = scene
+    place = scene_of(scene) if scene else find(logs.episodes.column("scene")[0].as_py() if logs else "table")
+    scene = place.name
     folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
     like = logs.env(0) if logs else None
-    env = make_env(scene, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
+    env = make_env(place, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
     said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
+    if like:
+        require_alike(like, said["env"], where=f"scene '{scene}'")
     if view:
         require_window()
     if tensorboard:
@@ -96,14 +102,15 @@ def train(
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
         show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events)
-        judge = Judge(scene, around, like, folder, run=run, episodes=eval_episodes, window=window)
+        judge = Judge(place, around, like, folder, run=run, episodes=eval_episodes, window=window)
         recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
         hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)
         if not resume:
             _begin(folder, {**said, "recorder": run}, logs)
         outcome = trainer.run(resume=resume and _has_checkpoint(folder))
-    _tell(outcome, folder, skipped=len(logs.skipped) if logs else 0)
+    again = f" --scene {asked}" if ":" in asked else ""
+    _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
 
 
 def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:
@@ -158,7 +165,7 @@ def _has_checkpoint(folder: Path) -> bool:
     return (folder / "checkpoint.safetensors").exists()
 
 
-def _tell(outcome: Outcome, folder: Path, *, skipped: int) -> None:
+def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
     """How the run ended, what it achieved, and the exit code."""
     best = outcome.best or {}
     merit = f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}" if best else ""
@@ -172,6 +179,6 @@ def _tell(outcome: Outcome, folder: Path, *, skipped: int) -> None:
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
-        terminal.out.print(f"coordlog record --policy {folder} --split test --episodes 200", highlight=False)
+        terminal.out.print(f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False)
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)

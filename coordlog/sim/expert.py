@@ -34,6 +34,8 @@ RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
 TRIES = 60
 """Random changes to the via poses when no known way is free."""
+VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
+"""Joints of each side that the known via poses bend; a robot that lacks one goes straight to its goals."""
 SPREAD = 0.35
 """Standard deviation of the random changes to the via poses when no known way is free [rad]."""
 
@@ -176,9 +178,9 @@ class Expert:
 
 
 def _ways(task: Task) -> list[list[Array]]:
-    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot without elbows to flex."""
+    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot with other joints."""
     joints = task.robot.action_joints
-    if "l_shoulder_x" not in joints:
+    if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):
         return [[]]
 
     def posture(**degrees: float) -> Array:

@@ -52,6 +52,15 @@ class Scene:
     sphere_box: Box3 | None = None
     """Where their centres are drawn, (x, y, z) ranges [m]."""
 
+    def __post_init__(self) -> None:
+        if (self.object_half is None) != (self.object_box is None):
+            raise ConfigError(f"scene '{self.name}': an object needs both object_half and object_box, got one of them")
+        if self.object_box is not None and len(self.robot.arms) != 2:
+            got = f"got {len(self.robot.arms)}; without an object every arm has a goal of its own"
+            raise ConfigError(f"scene '{self.name}': an object needs two arms, the left one first, {got}")
+        if self.spheres and self.sphere_box is None:
+            raise ConfigError(f"scene '{self.name}': spheres need a sphere_box to be drawn in, got none")
+
 
 def _table(*, edge: float, top: float, depth: float, half_width: float, half_thickness: float = 0.03) -> tuple[Panel, ...]:
     return (Panel("table", (edge + depth / 2, 0.0, top - half_thickness), (depth / 2, half_width, half_thickness)),)
@@ -118,7 +127,7 @@ def find(name: str) -> Scene:
         ConfigError: for an unknown name; the message lists the choices.
     """
     if name not in SCENES:
-        raise unknown("scene", name, SCENES)
+        raise unknown("scene", name, [*SCENES, "a FILE.py:NAME of your own"])
     return SCENES[name]
 
 
@@ -134,9 +143,12 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
         radii: Radii of the spheres [m]; without them the scene's largest.
 
     Raises:
-        ConfigError: if the robot's model lacks something its spec names.
+        ConfigError: if the robot's model is no XML, or lacks something its spec names.
     """
-    root = ET.fromstring(scene.robot.mjcf)
+    try:
+        root = ET.fromstring(scene.robot.mjcf)
+    except ET.ParseError as error:
+        raise ConfigError(f"robot '{scene.robot.name}': expected its model as MJCF text: {error}") from error
     world = _section(root, "worldbody")
     base = str(_first(world, "body", scene.robot).get("name"))
     ET.SubElement(_section(root, "option"), "flag", autoreset="disable")  # a diverged state stays visible instead of jumping to zero

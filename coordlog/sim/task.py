@@ -47,6 +47,9 @@ class Task:
         self.qvel_index: Array = np.array([joint.dofadr[0] for joint in joints])
         self.servos: Array = np.array(servos)
         self.limits: Array = np.array([joint.range for joint in joints])  # (n_u, 2) rad
+        for name, (low, high) in zip(robot.action_joints, self.limits, strict=True):
+            if not low < high:
+                raise ConfigError(f"robot '{robot.name}': expected a range for joint '{name}', which the action moves; its model has none")
         shared = [name in robot.shared and bool(robot.soles) for name in robot.action_joints]
         for name in config.locked:
             if name not in robot.action_joints:

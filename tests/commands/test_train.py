@@ -111,6 +111,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         (("--from", FIXTURES), "layouts"),
         (("--from", FIXTURES / "table", "--scene", "planar"), "got (33, 13, 2); they are of another robot"),
         (("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"), "logs of several scenes (shelf, table)"),
+        (("--from", FIXTURES / "table", "--scene", "planar"), "scene 'planar': its robot is not that of the other logs"),
         (("--from", FIXTURES / "table", "--where", "cleen"), "--where: expected an SQL condition over"),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
