@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO ?= demo
 
-.PHONY: help demo test check lint fix bench schemas docs clean
+.PHONY: help demo test check lint fix bench results schemas docs clean
 .DEFAULT_GOAL := help
 
 help:  ## what there is to make
@@ -38,6 +38,10 @@ fix: $(READY)  ## format and repair what can be repaired
 
 bench: $(READY)  ## speed, as ratios measured in one run
 	$(BIN)/python -m bench
+
+results: $(READY)  ## measure the shipped policies on held-out goals again, write docs/results.md
+	$(BIN)/python -m results.ship
+	$(BIN)/python -m results.report
 
 schemas: $(READY)  ## write anew what is generated: schemas/ and the tables in docs/
 	$(BIN)/python -m coordlog.record.schema

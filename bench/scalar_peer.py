@@ -142,6 +142,7 @@ def learn(scene: str, settings: Settings, folder: Path, *, steps: int, envs: int
     said = {"scene": scene, "mode": NAME, "seed": seed, "settings": settings.asdict(), "envs": envs}
     (folder / "run.json").write_text(json.dumps(said))
     model.learn(steps, callback=Rows(folder, policy, judge, every=every, episodes=episodes))
+    model.save(folder / "model.zip")
     (folder / "finished").touch()
 
 

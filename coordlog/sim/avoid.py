@@ -11,11 +11,11 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.sim.ik import Reach
 
-SAFE = 0.015
+SAFE = 0.025
 """Distance from a link's surface to a sphere at which it may not come any closer [m]."""
-NEAR = 0.07
+NEAR = 0.14
 """Spheres further away than this do not matter [m]."""
-CLOSING = 0.5
+CLOSING = 0.2
 """Share of the distance that is left to `SAFE` by which a link may come closer in one step."""
 ROUNDS = 4
 """Passes over all links and spheres: turning away from one may turn towards another."""

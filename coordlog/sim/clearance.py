@@ -80,7 +80,7 @@ class SceneChecker:
         self._keep = ~neighbours(model, self.pairs)  # those pairs that keep a clearance
         self._index = np.full((model.ngeom, model.ngeom), -1)
         self._index[self.pairs[:, 0], self.pairs[:, 1]] = self._index[self.pairs[:, 1], self.pairs[:, 0]] = np.arange(len(self.pairs))
-        self.inverse = Inverse(model, self._logged, self._footing)
+        self.inverse = Inverse(self._model, self._logged, self._footing)
         bounds = self._bounds(levers)
         self.reach: Array = bounds[:, self._joints]
         """Metres by which a radian of each action joint changes the distance of each pair, at most, (P, n_u)."""

@@ -7,7 +7,6 @@ answer to a motion that happens, and a path alone does not say how.
 
 from __future__ import annotations
 
-from copy import copy
 from typing import NamedTuple
 
 import mujoco
@@ -16,6 +15,9 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.sim.footing import FALLING, Footing
 from coordlog.sim.logged import Logged
+
+_STAGES = (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel, mujoco.mj_passive)
+"""What Newton-Euler needs to know: of `mj_inverse` the part that is used here, and no constraint."""
 
 
 class Load(NamedTuple):
@@ -32,9 +34,8 @@ class Inverse:
     """Inverse dynamics along one episode."""
 
     def __init__(self, model: mujoco.MjModel, logged: Logged, footing: Footing) -> None:
-        """Prepare for the logged configurations; the model is copied, not changed."""
-        self._model, self._data = copy(model), mujoco.MjData(model)
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        """Prepare for the logged configurations."""
+        self._model, self._data = model, mujoco.MjData(model)
         self._logged, self._footing = logged, footing
         self._dofs: Array = model.jnt_dofadr[logged.joints]
         self._base = int(model.body_rootid[model.jnt_bodyid[logged.joints[0]]])
@@ -44,13 +45,15 @@ class Inverse:
     def __call__(self, time: Array, q: Array, velocity: Array, acceleration: Array) -> Load:
         """Load of the action joints' states (n, n_u) in rad, rad/s and rad/s² at times (n,) of the log [s]."""
         model, data, corners = self._model, self._data, self._footing.corners
-        force, n = data.qfrc_inverse, len(q)
+        force, n = np.zeros(model.nv), len(q)
         torque, point, sites = np.empty((n, len(self._dofs))), np.zeros((n, 2)), np.zeros((n, len(corners), 3))
         data.qvel[:] = data.qacc[:] = 0.0
         for i, row in enumerate(self._logged.whole(time, q)):
             data.qpos[:], data.qvel[self._dofs], data.qacc[self._dofs] = row, velocity[i], acceleration[i]
-            mujoco.mj_inverse(model, data)
-            torque[i] = force[self._dofs]
+            for stage in _STAGES:
+                stage(model, data)
+            mujoco.mj_rne(model, data, 1, force)
+            torque[i] = force[self._dofs] + model.dof_armature[self._dofs] * acceleration[i] - data.qfrc_passive[self._dofs]
             if corners:
                 moment = data.xmat[self._base].reshape(3, 3) @ force[self._turn]  # MuJoCo turns a free base in its own frame
                 point[i], sites[i] = _zero_moment(data.xpos[self._base], force[self._push], moment), data.site_xpos[corners]

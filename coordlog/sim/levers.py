@@ -28,17 +28,19 @@ class Levers:
             kind, body = model.jnt_type[joint], model.jnt_bodyid[joint]
             if kind != hinge and not (kind == free and model.body_parentid[body] == 0):
                 raise FormatError(f"joint '{model.joint(joint).name}': expected hinges on at most one free base, got another kind of joint")
-        self._anchors = np.zeros(model.nbody)
-        np.add.at(self._anchors, model.jnt_bodyid, 2.0 * np.linalg.norm(model.jnt_pos, axis=1))
+        anchors = np.zeros(model.nbody)
+        np.add.at(anchors, model.jnt_bodyid, 2.0 * np.linalg.norm(model.jnt_pos, axis=1))
+        self._anchors, self._parents = anchors.tolist(), model.body_parentid.tolist()
+        self._lengths = np.linalg.norm(model.body_pos, axis=1).tolist()
+        self._above: dict[int, frozenset[int]] = {0: frozenset()}
 
-    def above(self, body: int) -> set[int]:
+    def above(self, body: int) -> frozenset[int]:
         """Joints that move a body: its own and those of every body between it and the world."""
-        found: set[int] = set()
-        while body:
+        if body not in self._above:
             first = int(self._model.body_jntadr[body])
-            found |= set(range(first, first + int(self._model.body_jntnum[body])))
-            body = int(self._model.body_parentid[body])
-        return found
+            own = range(first, first + int(self._model.body_jntnum[body]))
+            self._above[body] = self.above(self._parents[body]).union(own)
+        return self._above[body]
 
     def lever(self, joint: int, body: int, point: Array, extent: float = 0.0) -> float:
         """Metres by which a radian of a joint moves what lies within `extent` of a point of a body, at most.
@@ -50,9 +52,10 @@ class Levers:
             extent: Radius about the point [m].
         """
         model, home = self._model, int(self._model.jnt_bodyid[joint])
+        length = 0.0 if body == home else float(np.linalg.norm(point))
         while body != home:
-            extent += float(np.linalg.norm(point)) + float(self._anchors[body])
-            body, point = int(model.body_parentid[body]), model.body_pos[body]
+            extent += length + self._anchors[body]
+            length, point, body = self._lengths[body], model.body_pos[body], self._parents[body]
         arm = point - model.jnt_pos[joint]
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
             arm = arm - (arm @ model.jnt_axis[joint]) * model.jnt_axis[joint]

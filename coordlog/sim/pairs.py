@@ -34,14 +34,18 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
 
 def neighbours(model: mujoco.MjModel, pairs: Array) -> Array:
     """Which pairs belong to bodies of one robot that are few links apart, (P',) bool."""
-    lines: list[list[int]] = []
-    for body in model.geom_bodyid[pairs].ravel().tolist():
+    lines: dict[int, list[int]] = {}
+    for body in np.unique(model.geom_bodyid[pairs]).tolist():
         line = [body]
         while line[-1]:
             line.append(int(model.body_parentid[line[-1]]))
-        lines.append(line[:-1])  # without the world
-    links = [
-        min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)
-        for a, b in zip(lines[::2], lines[1::2], strict=True)
-    ]
+        lines[body] = line[:-1]  # without the world
+    bodies = [tuple(pair) for pair in model.geom_bodyid[pairs].tolist()]
+    apart = {pair: _links(*(lines[body] for body in pair)) for pair in set(bodies)}
+    links = [apart[pair] for pair in bodies]
     return np.array(links, dtype=np.int64) <= NEIGHBOURS
+
+
+def _links(a: list[int], b: list[int]) -> int:
+    """Links between the bodies at the start of two lines to the base; more than NEIGHBOURS where they do not meet."""
+    return min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)

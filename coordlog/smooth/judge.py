@@ -70,7 +70,12 @@ class Judge:
         return proof if len(proof.found) else self.between(spline, proof, lenient=lenient)
 
     def between(self, spline: Spline, proof: Proof, *, lenient: bool) -> Proof:
-        """Finish what `sampled` began: the certificate."""
+        """Finish what `sampled` began: rules about motion, and the certificate."""
+        look = self.asked.moving(spline)
+        excuse = self.raw.excuses(look, lenient=lenient)
+        if not excuse.all():
+            return self._noted(Proof(look[~excuse], proof.excused, certified=False))
+        proof = proof._replace(excused=proof.excused + look)
         return self._noted(self._between(spline, proof.excused, lambda found: self.raw.excuses(found, lenient=lenient)))
 
     def sampled(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
@@ -113,6 +118,7 @@ class Judge:
         found = self.raw.ends
         for look in self._looks(spline, None):
             found = found + look
+        found = found + self.asked.moving(spline)
         proof = self._between(spline, found, lambda found: found.kind == Kind.CONTACT)
         return Proof(proof.excused + proof.found, NONE, proof.certified)
 
@@ -143,7 +149,6 @@ class Judge:
                 fresh[index] = False
                 time = self.samples.time[index]
                 yield self.asked.worst(time, self.samples(spline, index), self._config.clearance)
-        yield self.asked.moving(spline)
 
     def _deviation(self, spline: Spline) -> Breaches:
         if self._config.max_deviation is None:

@@ -55,8 +55,8 @@ def test_a_link_comes_no_closer_than_it_may(reach: Reach) -> None:
 
 
 def test_a_motion_away_or_along_is_left_alone(reach: Reach) -> None:
-    angles = home(reach)
-    spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.02, 0.0))
+    angles = reach.standing_angles  # the other arm is far
+    spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.04, 0.0))
     (point, body, centre, _), *_ = sorted(reach.approaches(angles, spheres), key=lambda found: float(np.linalg.norm(found[2] - found[0])))
     row = (centre - point) / np.linalg.norm(centre - point) @ reach.jacobian_at(point, body)
     away = -0.02 * row / np.abs(row).max()
@@ -67,7 +67,7 @@ def test_a_motion_away_or_along_is_left_alone(reach: Reach) -> None:
 
 
 def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
-    angles = home(reach)
+    angles = reach.standing_angles  # the other arm is far
     spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.01, 0.0))
     (point, body, centre, _), *_ = sorted(reach.approaches(angles, spheres), key=lambda found: float(np.linalg.norm(found[2] - found[0])))
     row = (centre - point) / np.linalg.norm(centre - point) @ reach.jacobian_at(point, body)
