@@ -1,4 +1,4 @@
-"""The policies that come without training, by name, and noise around any policy."""
+"""The policies that come without training, by name, and a shield and noise around any policy."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from coordlog.rollout import Policy
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.expert import Expert
 from coordlog.sim.policies import Noisy, Random, Still
+from coordlog.sim.shield import Shielded
 
 SCRIPTED = ("expert", "random", "still")
 
@@ -40,3 +41,14 @@ def with_noise(policy: Policy, env: BatchEnv, *, sigma: float, correlation: floa
         return policy, {}
     noisy = Noisy(policy, env.n, env.layout.n_u, sigma=sigma, correlation=correlation)
     return noisy, {"kind": "gaussian", "sigma": sigma, "correlation": correlation}
+
+
+def with_shield(policy: Policy, env: BatchEnv) -> Policy:
+    """The policy, kept from running its forearms into spheres.
+
+    Raises:
+        ConfigError: if there is no sphere to be shielded from.
+    """
+    if env.task.n_spheres == 0:
+        raise ConfigError(f"--shield: expected a scene with spheres, got '{env.scene.name}', which has none; leave it out")
+    return Shielded(policy, env.task, env.draw.reach)

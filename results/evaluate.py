@@ -22,7 +22,10 @@ import numpy as np
 
 from coordlog.commands.environment import make_env
 from coordlog.commands.policies import about, policy_file
+from coordlog.episode import Json
 from coordlog.errors import CoordlogError
+from coordlog.rollout import Policy
+from coordlog.scripted import with_shield
 from coordlog.sim.env import BatchEnv
 from results import tables
 from results.actors import FOREIGN, actor
@@ -33,6 +36,8 @@ from results.training import cost
 
 EPISODES = 500
 ENVS = 32
+SHIELDED = "shielded"
+"""The row of shipped policies behind `record --shield`."""
 RADII = {"3 cm": 0.03, "2 cm": 0.02}
 """An episode ends at success, so each radius is an evaluation of its own."""
 
@@ -50,17 +55,23 @@ def evaluate(row: str, scene: str, policy: str, *, torso: str, episodes: int, se
     table: tables.Table = {"row": row, "scene": scene, "torso": torso, "training_seed": seed}
     for name, radius in RADII.items():
         env = environment(scene, policy, radius=radius, torso=torso, envs=min(ENVS, episodes))
-        chosen, said = actor(policy, env)
+        chosen, said = _acting(row, policy, env)
         table["policy"] = said
         table[name] = figures(run(env, chosen, episodes=episodes))
         if Path(policy).is_dir():
             said["cost"] = cost(Path(policy), said["training"])
         print(f"{scene} {row} {name}: {summary(table[name])}", file=sys.stderr, flush=True)
     env = environment(scene, policy, radius=RADII["3 cm"], torso=torso, envs=1, threads=1)
-    table["decision"] = decisions(env, actor(policy, env)[0])
+    table["decision"] = decisions(env, _acting(row, policy, env)[0])
     table["problems"] = {"seed": SEED, "split": SPLIT, "episodes": episodes}
     table["versions"] = versions()
     return table
+
+
+def _acting(row: str, policy: str, env: BatchEnv) -> tuple[Policy, Json]:
+    """The policy of a row, behind the shield where the row has one."""
+    chosen, said = actor(policy, env)
+    return (with_shield(chosen, env), said) if row == SHIELDED else (chosen, said)
 
 
 def summary(found: Mapping[str, Any]) -> str:

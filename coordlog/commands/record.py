@@ -28,6 +28,7 @@ def record(
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
     noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
     noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
+    shield: Annotated[bool, typer.Option("--shield", help="Slow the forearms down towards near spheres; logged.")] = False,
     start: Annotated[str, typer.Option(help="Start pose of the robot.")] = "stand",
     out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path("logs"),
     envs: Annotated[int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")] = 16,
@@ -54,7 +55,7 @@ def record(
     from coordlog.record.recorder import Recorder
     from coordlog.rollout import rollout
     from coordlog.scoring import Scoreboard
-    from coordlog.scripted import with_noise
+    from coordlog.scripted import with_noise, with_shield
     from coordlog.sim.scene import find
 
     asked = scene_of(scene) if scene else None
@@ -64,6 +65,8 @@ def record(
     tables = read_toml(config) if config else {}
     env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
     chosen, described = make_policy(policy, env)
+    if shield:
+        chosen, described["shield"] = with_shield(chosen, env), "velocity damper"
     actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
     done: list[Finished] = []
     board = Scoreboard(env.n, env.layout.k)

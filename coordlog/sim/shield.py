@@ -1,0 +1,39 @@
+"""A policy whose actions are turned along near spheres before they are executed.
+
+The network decides where to go; a velocity damper (`avoid.slide`) decides how fast a forearm may come closer to a sphere on the way. It
+knows the robot's kinematics, as the expert does, and takes the base to stand still.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.sim.avoid import slide
+from coordlog.sim.ik import Reach
+from coordlog.sim.task import Task
+
+
+class Shielded:
+    """Another policy, shielded from spheres."""
+
+    def __init__(self, policy: Any, task: Task, reach: Reach) -> None:
+        """Take the kinematics of a scene with spheres."""
+        self._policy, self._task, self._reach = policy, task, reach
+        self._step = task.speeds * task.config.control_period  # (n_u,) rad per step at action 1
+
+    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
+        """As the policy begins."""
+        self._policy.begin(ids, state, rngs)
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """What the policy wants, as far as spheres let it, (n, n_u) float32."""
+        view = self._task.view
+        wanted = self._policy.act(ids, state) * self._step
+        angles, spheres = view.physical(state, "angles"), view.physical(state, "spheres").reshape(len(state), -1, 4)
+        rows = zip(angles, wanted, spheres, strict=True)
+        moves = [slide(self._reach, q, move, spheres=around, effort=self._step) for q, move, around in rows]
+        action = np.stack(moves) / np.maximum(self._step, 1e-12)  # a locked joint has no step
+        return np.asarray(action / np.maximum(1.0, np.abs(action).max(axis=1, keepdims=True)), dtype=np.float32)
