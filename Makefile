@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO ?= demo
 
-.PHONY: help demo test check lint fix bench schemas clean
+.PHONY: help demo test check lint fix bench results schemas docs clean
 .DEFAULT_GOAL := help
 
 help:  ## what there is to make
@@ -19,7 +19,7 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
 
-demo: $(READY)  ## record in four scenes, check every file by replay, list them
+demo: $(READY)  ## the whole path, from recording to pictures, in demo/
 	BIN=$(BIN) sh docs/demo.sh $(DEMO)
 
 test: $(READY)  ## all tests, under five minutes on two cores
@@ -39,8 +39,16 @@ fix: $(READY)  ## format and repair what can be repaired
 bench: $(READY)  ## speed, as ratios measured in one run
 	$(BIN)/python -m bench
 
-schemas: $(READY)  ## write schemas/ anew from coordlog/spec.py
+results: $(READY)  ## measure the shipped policies on held-out goals again, write docs/results.md
+	$(BIN)/python -m results.ship
+	$(BIN)/python -m results.report
+
+schemas: $(READY)  ## write anew what is generated: schemas/ and the tables in docs/
 	$(BIN)/python -m coordlog.record.schema
+	$(BIN)/python docs/reference/generate.py
+
+docs: $(READY)  ## the documentation as a site, in site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 clean:  ## remove what was built (not logs)
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist site

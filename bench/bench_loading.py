@@ -21,7 +21,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import cycle, islice
+from itertools import chain, cycle, islice
 from pathlib import Path
 
 from coordlog.commands.pool import batches, mapped
@@ -48,7 +48,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="coordlog-bench-") as name:
         folder = Path(name)
         logs = options.logs or recorded(folder / "logs")
-        for row in (*loading(logs, folder, options.episodes), *training(logs, folder, options.large, options.steps)):
+        for row in chain(loading(logs, folder, options.episodes), training(logs, folder, options.large, options.steps)):
             print(f"{row['what']:72} {row['value']:12.3f} {row['unit']:5} {row['target']}", flush=True)
             found.append(row)
     if options.json:

@@ -1,7 +1,8 @@
 """stable-baselines3's TD3 + HER on `coordlog.GymEnv`, as its users would call it: one reward, the sum of the arms'.
 
 The network, batch, discount, learning rate, exploration, updates per step and share of goals in hindsight are those of our settings; what
-makes TD3 (delayed actor, target noise) stays as that library has it. Held-out problems are judged by `coordlog.scoring.evaluate`, like
+makes TD3 (delayed actor, target noise, targets of one step, goals from anywhere later in an episode, endings as they were) stays as that
+library has it. Held-out problems are judged by `coordlog.scoring.evaluate`, like
 everyone's, and the rows are those of a run folder, so that `coordlog plot` draws them beside ours.
 """
 
@@ -141,6 +142,7 @@ def learn(scene: str, settings: Settings, folder: Path, *, steps: int, envs: int
     said = {"scene": scene, "mode": NAME, "seed": seed, "settings": settings.asdict(), "envs": envs}
     (folder / "run.json").write_text(json.dumps(said))
     model.learn(steps, callback=Rows(folder, policy, judge, every=every, episodes=episodes))
+    model.save(folder / "model.zip")
     (folder / "finished").touch()
 
 

@@ -10,7 +10,7 @@ from results.tables import Table
 
 Tables = Mapping[str, Table]
 
-__all__ = ["Tables", "bad", "costs", "decision", "down", "good", "head", "line", "share", "up", "values"]
+__all__ = ["Tables", "bad", "costs", "decision", "down", "good", "head", "line", "median", "problems", "share", "up", "values"]
 
 
 def head(*names: str) -> list[str]:
@@ -48,6 +48,20 @@ def _share(rates: Sequence[Mapping[str, Any]], *, better: bool) -> str:
 def share(each: Mapping[str, Any], *, better: bool = True) -> str:
     """One share with its interval."""
     return _share([each], better=better)
+
+
+def problems(of: Sequence[Table]) -> str:
+    """How many problems a row was measured on; of several seeds the fewest."""
+    return f"{min(table['problems']['episodes'] for table in of):,}"
+
+
+def median(found: Mapping[str, Any] | None, *, scale: float = 1.0, digits: int = 1, small: bool = True) -> str:
+    """A median with its interval; `small` for what should be small."""
+    if found is None:
+        return "-"
+    show = up if small else down
+    middle, low, high = (show(scale * found[key], digits) for key in ("median", "low", "high"))
+    return f"{middle} ({low}-{high})"
 
 
 def values(of: Sequence[Table], name: str, *keys: str, scale: float = 1.0, digits: int = 1, small: bool = False) -> str:

@@ -25,10 +25,10 @@ from coordlog.commands.policies import about, policy_file
 from coordlog.errors import CoordlogError
 from coordlog.sim.env import BatchEnv
 from results import tables
-from results.torso import SPINE
 from results.actors import FOREIGN, actor
 from results.measure import SEED, SPLIT, decisions, figures, run
 from results.recipes import row_names
+from results.torso import SPINE
 from results.training import cost
 
 EPISODES = 500
@@ -37,11 +37,11 @@ RADII = {"3 cm": 0.03, "2 cm": 0.02}
 """An episode ends at success, so each radius is an evaluation of its own."""
 
 
-def environment(scene: str, policy: str, *, radius: float, torso: str, envs: int, threads: int = 0) -> BatchEnv:
-    """The environment a policy was trained in, with this goal radius and torso."""
+def environment(scene: str, policy: str, *, radius: float, torso: str, envs: int, threads: int = 0, **constants: Any) -> BatchEnv:
+    """The environment a policy was trained in, with this goal radius, torso, and whatever other constants [env] has."""
     file = None if policy.endswith(FOREIGN) else policy_file(policy, scene)
     like = about(file)["env"] if file else None
-    constants: dict[str, Any] = {"goal_radius": radius, "locked": SPINE if torso == "locked" else ()}
+    constants |= {"goal_radius": radius, "locked": SPINE if torso == "locked" else ()}
     return make_env(scene, {"env": constants}, start="stand", envs=envs, threads=threads, like=like)
 
 

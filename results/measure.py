@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -111,5 +110,3 @@ def decisions(env: BatchEnv, policy: Policy, *, episodes: int = TIMED, seed: int
         "calls": len(timed.acted),
         "control_period": env.task.config.control_period,
     }
-
-

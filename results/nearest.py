@@ -34,9 +34,13 @@ class Nearest:
 
     def of(self, sim: int) -> float:
         """Distance of one simulation's robot to the nearest obstacle now [m]; negative where one is inside the other."""
-        model, data, physics = self._model, self._data, self._env.physics
-        data.qpos[:], data.mocap_pos[:] = physics.qpos[sim], physics.mocap_pos[sim]
-        radii = self._env.simulation.radii[sim]
+        physics = self._env.physics
+        return self.at(physics.qpos[sim], physics.mocap_pos[sim], self._env.simulation.radii[sim])
+
+    def at(self, qpos: Array, mocap_pos: Array, radii: Array) -> float:
+        """The same for a configuration (n_q,), and where the mocap bodies and how large the spheres are."""
+        model, data = self._model, self._data
+        data.qpos[:], data.mocap_pos[:] = qpos, mocap_pos
         model.geom_size[self._env.task.sphere_geoms, 0] = model.geom_rbound[self._env.task.sphere_geoms] = radii
         mujoco.mj_kinematics(model, data)
         bound = self._bounds()

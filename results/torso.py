@@ -1,6 +1,6 @@
 """Is the articulated torso of use? The same problems with the five joints of the spine held by their servos.
 
-    python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
+python -m results.torso            inverse kinematics with and without the spine → results/tables/SCENE-reach.json
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from results.measure import SEED, SPLIT
 from results.stats import rate
 
 SPINE = HUMANOID.shared
-RESTARTS = 60
+RESTARTS = 20
 """Random postures that a search starts from, after the named ones, before a goal counts as out of reach."""
 EPISODES = 500
 
@@ -58,23 +58,32 @@ def measure(scene: str, *, episodes: int = EPISODES) -> tables.Table:
 
 def section(found: Tables) -> str:
     """What the spine is worth, scene by scene."""
-    names = ("scene", "posture exists, torso free", "torso locked", "expert clean, free", "locked", "DiGrad from logs clean, free", "locked")
+    names = (
+        "scene",
+        "problems",
+        "posture exists, torso free",
+        "torso locked",
+        "expert clean, free",
+        "locked",
+        "DiGrad from logs clean, free",
+        "locked",
+    )
     lines = cells.head(*names)
     for scene in tables.SCENES:
         reach = found.get(f"{scene}-reach")
         texts = [cells.share(reach[torso]) if reach else "not run" for torso in tables.TORSOS]
         for row in ("expert", "digrad-logs"):
             texts += [cells.good(tables.of_row(found, row, scene, torso=torso), "3 cm", "clean") for torso in tables.TORSOS]
-        lines.append(cells.line(scene, *texts))
+        lines.append(cells.line(scene, cells.problems([reach]) if reach else "", *texts))
     return ABOUT.format(restarts=RESTARTS) + "\n".join(lines) + "\n"
 
 
 ABOUT = """## Torso free, torso locked
 
-The same problems, drawn where the robot reaches with its spine, with `locked` naming the spine's five joints in `[env]` (results/locked.toml): their servos
-hold the start angles, state and action keep their shape. *Posture exists*: inverse kinematics finds a posture that touches nothing, keeps the centre of mass
-over the feet, and has both palms on their goals to 2 mm, from the named poses and {restarts} random ones. The locked policy learnt from 512 logs of the locked
-expert.
+The same problems, drawn where the robot reaches with its spine, with `locked` naming the spine's five joints in `[env]`
+(results/locked.toml): their servos hold the start angles, state and action keep their shape. *Posture exists*: inverse kinematics finds
+a posture that touches nothing, keeps the centre of mass over the feet, and has both palms on their goals to 2 mm, from the named poses
+and {restarts} random ones. The locked policy learnt from 512 logs of the locked expert.
 
 """
 

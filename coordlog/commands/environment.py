@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from coordlog.errors import ConfigError, unknown
 if TYPE_CHECKING:
     from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
+    from coordlog.sim.scene import Scene
 
 TABLES = ("env", "reward")
 
@@ -31,15 +33,42 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
 
 
-def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None) -> BatchEnv:
+def scene_of(name: str) -> Scene:
+    """The scene that a person asks for: one that ships, or one of their own as FILE.py:NAME, for which the file is run.
+
+    Names that come out of logs and policy files go to `sim.scene.find` instead: what somebody sent must not run anything.
+
+    Raises:
+        ConfigError: for an unknown name, a file that cannot be run, or a name in it that is no scene.
+    """
+    from coordlog.sim.scene import Scene, find
+
+    file, colon, attribute = name.rpartition(":")
+    if not colon:
+        return find(name)
+    try:
+        found = runpy.run_path(file)
+    except Exception as error:  # the file is the user's, and so is whatever it raises
+        raise ConfigError(f"{file}: cannot be run for its scenes: {type(error).__name__}: {error}") from error
+    scenes = [key for key, value in found.items() if isinstance(value, Scene)]
+    if attribute not in scenes:
+        raise unknown(f"scene of {file}", attribute, scenes)
+    own: Scene = found[attribute]
+    return own
+
+
+def make_env(
+    scene: Scene | str, tables: Mapping[str, Any], *, start: str, envs: int, threads: int, like: Json | None = None, doubts: bool = True
+) -> BatchEnv:
     """The batched environment that the options describe; doubtful reward constants are said aloud.
 
     Args:
-        scene: Name of the scene.
+        scene: What to simulate, or the name of one that ships.
         tables: Tables "env" and "reward" of a configuration file, or none.
         start: Name of the start pose.
         envs: Number of simulations.
         threads: Threads to simulate on.
+        doubts: Say what is doubtful; off for a second environment of the same constants.
         like: A `coordlog.env` record whose constants hold where the tables say nothing: those of the logs, or of a policy's training.
 
     Raises:
@@ -54,8 +83,8 @@ def make_env(scene: str, tables: Mapping[str, Any], *, start: str, envs: int, th
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
     reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
-    if "reward" in tables:
+    if doubts and "reward" in tables:
         for doubt in reward.doubts():
             note(doubt)
     constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
-    return BatchEnv(find(scene), constants, reward, n=envs, threads=threads, start=start)
+    return BatchEnv(find(scene) if isinstance(scene, str) else scene, constants, reward, n=envs, threads=threads, start=start)

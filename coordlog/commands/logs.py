@@ -32,6 +32,9 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
     from coordlog.record.dataset import find_files
 
     files = find_files(paths)
+    if not files.paths:
+        unfinished = f"; {len(files.parts)} unfinished ones are there: `coordlog recover` makes episodes of them" if files.parts else ""
+        raise SpecError(f"no logs: expected episodes (.mcap) under {', '.join(map(str, paths))}, found none{unfinished}")
     with terminal.progress() as bar:
 
         def run(build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]) -> Iterable[Built]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import make_env, read_toml
+from coordlog.commands.environment import make_env, read_toml, scene_of
 from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 def record(
-    scene: Annotated[str, typer.Option(help="free, spheres, table, shelf or planar; by default the policy's own, or table.")] = "",
+    scene: Annotated[
+        str, typer.Option(help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table.")
+    ] = "",
     policy: Annotated[str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")] = "expert",
     episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
@@ -53,19 +55,21 @@ def record(
     from coordlog.rollout import rollout
     from coordlog.scoring import Scoreboard
     from coordlog.scripted import with_noise
+    from coordlog.sim.scene import find
 
-    file = policy_file(policy, scene or DEFAULT_SCENE)
+    asked = scene_of(scene) if scene else None
+    file = policy_file(policy, asked.name if asked else DEFAULT_SCENE)
     trained = about(file) if file else {}
-    scene = scene or trained.get("scene", DEFAULT_SCENE)
+    place = asked or find(trained.get("scene", DEFAULT_SCENE))
     tables = read_toml(config) if config else {}
-    env = make_env(scene, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
+    env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
     chosen, described = make_policy(policy, env)
     actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
     done: list[Finished] = []
     board = Scoreboard(env.n, env.layout.k)
     steps, began = 0, time.perf_counter()
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
-        task = bar.add_task(f"recording {scene}", total=episodes, note="")
+        task = bar.add_task(f"recording {place.name}", total=episodes, note="")
         with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
             for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
                 board.add(ids, outcome)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.environment import scene_of
 from coordlog.errors import StorageError
+
+if TYPE_CHECKING:
+    from coordlog.sim.scene import Scene
 
 
 def scenes(
+    scene: Annotated[list[str] | None, typer.Argument(help="Only these; FILE.py:NAME for one of your own.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Render every scene to DIR/NAME.png instead.", metavar="DIR")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
@@ -22,13 +28,16 @@ def scenes(
         coordlog scenes
 
         coordlog scenes --picture pictures/
+
+        coordlog scenes my_robot.py:SCENE
     """
     from coordlog.sim.scene import SCENES
 
+    chosen = [scene_of(name) for name in scene] if scene else list(SCENES.values())
     if picture is not None:
-        _render(picture)
+        _render(chosen, picture)
         return
-    rows = [_row(name) for name in SCENES]
+    rows = [_row(each) for each in chosen]
     if as_json:
         terminal.print_json(rows)
         return
@@ -38,17 +47,16 @@ def scenes(
         terminal.facts([("robot", about), ("goals", row["goals"]), *obstacles], title=f"\n{row['scene']}: {row['about']}")
 
 
-def _row(name: str) -> dict[str, Any]:
+def _row(scene: Scene) -> dict[str, Any]:
     from coordlog.sim.env import BatchEnv
-    from coordlog.sim.scene import SCENES
 
-    scene, layout = SCENES[name], BatchEnv(SCENES[name], n=1, threads=1).layout
+    layout = BatchEnv(scene, n=1, threads=1).layout
     panels = [f"{panel.name} at {_point(panel.centre)}, half extents {_point(panel.half)}" for panel in scene.panels]
     low, high = scene.sphere_radius
     spheres = [f"{scene.spheres} spheres, radius {low}-{high} m, in {_box(scene.sphere_box)}"] if scene.spheres else []
     beside = f"{scene.palm_offset} m to the left and right of a point in {_box(scene.object_box)}" if scene.object_box else ""
     return {
-        "scene": name,
+        "scene": scene.name,
         "robot": scene.robot.name,
         "joints": layout.n_u,
         "arms": [arm.name for arm in scene.robot.arms],
@@ -59,19 +67,18 @@ def _row(name: str) -> dict[str, Any]:
     }
 
 
-def _render(folder: Path) -> None:
+def _render(scenes: Sequence[Scene], folder: Path) -> None:
     from coordlog.sim.picture import picture, write_png
-    from coordlog.sim.scene import SCENES
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{folder}: cannot make the folder: {error.strerror}") from error
-    for name in SCENES:
-        path = folder / f"{name}.png"
+    for scene in scenes:
+        path = folder / f"{scene.name}.png"
         if path.exists():
             raise StorageError(f"{path}: the file exists and is not overwritten; choose another folder")
-        write_png(path, picture(SCENES[name]))
+        write_png(path, picture(scene))
         terminal.out.print(str(path), highlight=False)
 
 

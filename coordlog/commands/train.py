@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import TABLES, make_env, read_toml
+from coordlog.commands.environment import TABLES, make_env, read_toml, scene_of
 from coordlog.commands.logs import load_logs
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, ConfigError
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def train(
     source: Annotated[list[Path] | None, typer.Option("--from", help="Folders of logs to learn from; may be repeated.")] = None,
     live: Annotated[bool, typer.Option(help="Simulate as well, if there are logs; without --from it always does.")] = False,
-    scene: Annotated[str, typer.Option(help="Scene to simulate; by default that of the logs.")] = "",
+    scene: Annotated[str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")] = "",
     where: Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")] = "",
     preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
     config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
@@ -62,6 +62,8 @@ def train(
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import Judge, Progress, assemble, record_training, require_window, watch
+    from coordlog.sim.scene import find
+    from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
     from coordlog.train.task import Hooks
 
@@ -79,16 +81,20 @@ def train(
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
-    scene = scene or (logs.episodes.column("scene")[0].as_py() if logs else "table")
+    asked = scene
+    place = scene_of(scene) if scene else find(logs.episodes.column("scene")[0].as_py() if logs else "table")
+    scene = place.name
     folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
     like = logs.env(0) if logs else None
-    env = make_env(scene, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
+    env = make_env(place, around, start="stand", envs=envs, threads=max(1, (os.cpu_count() or 2) - 1), like=like)
     said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
+    if like:
+        require_alike(like, said["env"], where=f"scene '{scene}'")
     if view:
         require_window()
     if tensorboard:
         require_tensorboard()
-    run = _begin(folder, said, logs, resume=resume)
+    run = _named(folder, said, wanted, resume=resume)
     if like and like["reward"] != said["env"]["reward"]:
         terminal.note("rewards are recomputed from logged distances and flags: the logs were recorded with other constants")
     with ExitStack() as stack:
@@ -96,12 +102,15 @@ def train(
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
         show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events)
-        judge = Judge(scene, around, like, folder, run=run, episodes=eval_episodes, window=window)
+        judge = Judge(place, around, like, folder, run=run, episodes=eval_episodes, window=window)
         recorder = stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
         hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device)
-        outcome = trainer.run(resume=resume)
-    _tell(outcome, folder)
+        if not resume:
+            _begin(folder, {**said, "recorder": run}, logs)
+        outcome = trainer.run(resume=resume and _has_checkpoint(folder))
+    again = f" --scene {asked}" if ":" in asked else ""
+    _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
 
 
 def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:
@@ -129,21 +138,34 @@ def _said(scene: str, mode: str, env: BatchEnv, settings: Settings, logs: Logs |
     }
 
 
-def _begin(folder: Path, said: Json, logs: Logs | None, *, resume: bool) -> str:
-    """Begin the run, or make sure that it is the same one; returns the name its recordings carry."""
+def _named(folder: Path, said: Json, settings: Settings, *, resume: bool) -> str:
+    """The name that the run's recordings carry; nothing is written before all parts of the run are known to fit."""
+    from coordlog.train import run as runs
+    from coordlog.train.settings import refuse_changes
+
+    if not resume:
+        runs.require_new(folder)
+        return uuid.uuid4().hex[:8]
+    before = runs.recall(folder)
+    runs.require_same(before, said, folder=folder)
+    refuse_changes(settings, before["settings"])
+    if not _has_checkpoint(folder):
+        terminal.note(f"{folder}: stopped before its first checkpoint; it begins again")
+    return str(before["recorder"])
+
+
+def _begin(folder: Path, said: Json, logs: Logs | None) -> None:
     from coordlog.train import run as runs
 
-    if resume:
-        before = runs.recall(folder)
-        runs.require_same(before, said, folder=folder)
-        return str(before["recorder"])
-    name = uuid.uuid4().hex[:8]
     data = zip(logs.episodes.column("digest").to_pylist(), logs.episodes.column("file").to_pylist(), strict=True) if logs else []
-    runs.begin(folder, {**said, "recorder": name}, data=list(data))
-    return name
+    runs.begin(folder, said, data=list(data))
 
 
-def _tell(outcome: Outcome, folder: Path) -> None:
+def _has_checkpoint(folder: Path) -> bool:
+    return (folder / "checkpoint.safetensors").exists()
+
+
+def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
     """How the run ended, what it achieved, and the exit code."""
     best = outcome.best or {}
     merit = f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}" if best else ""
@@ -157,4 +179,6 @@ def _tell(outcome: Outcome, folder: Path) -> None:
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
-        terminal.out.print(f"coordlog record --policy {folder} --split test --episodes 200", highlight=False)
+        terminal.out.print(f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False)
+    if skipped:
+        raise typer.Exit(EXIT_PARTIAL)

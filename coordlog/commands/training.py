@@ -29,6 +29,7 @@ from coordlog.train.task import Hooks
 if TYPE_CHECKING:
     from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
+    from coordlog.sim.scene import Scene
     from coordlog.view.live import Live
 
 SEED = 0
@@ -46,10 +47,18 @@ class Judge:
     """Evaluates a policy on held-out problems; the episodes are recorded like any other."""
 
     def __init__(
-        self, scene: str, tables: Mapping[str, Any], like: Json | None, folder: Path, *, run: str, episodes: int, window: Live | None = None
+        self,
+        scene: Scene | str,
+        tables: Mapping[str, Any],
+        like: Json | None,
+        folder: Path,
+        *,
+        run: str,
+        episodes: int,
+        window: Live | None = None,
     ) -> None:
         self._run, self._window = run, window
-        self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like)
+        self._env = make_env(scene, tables, start="stand", envs=min(EVALUATION_ENVS, episodes), threads=0, like=like, doubts=False)
         self._folder, self._episodes = folder, episodes
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float]:

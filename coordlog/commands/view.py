@@ -49,9 +49,8 @@ def view(
             raise StorageError(f"{target}: the file exists and is not overwritten; choose another name")
     if len(path) > 1 and any(item.is_dir() for item in path):
         raise ConfigError("view: expected one folder, or episodes; got a folder among several paths")
-    partial = False
     if path[0].is_dir():
-        stream = _overview(path[0])
+        stream, partial = _overview(path[0])
     else:
         shows = [_show(item) for item in _together(path, beside, alone=alone)]
         partial = any(show.episode.result.aborted for show in shows)
@@ -63,7 +62,7 @@ def view(
             terminal.out.print(f"{save}: {terminal.megabytes(save.stat().st_size)}; open it with: rerun {save}", highlight=False)
         _present(rrd, screenshot=screenshot, at=at, web=web, port=port, window=not (no_open or save or screenshot or web))
     if partial:
-        terminal.note("aborted or unfinished: shown as far as it goes")
+        terminal.note("some files were left out" if path[0].is_dir() else "aborted or unfinished: shown as far as it goes")
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -110,8 +109,12 @@ def _recording(shows: list[Show], *, ghosts: bool) -> Any:
     return to_rerun(shows, ghosts=ghosts)
 
 
-def _overview(folder: Path) -> Any:
-    """The overview of a folder; broken files are left out and named."""
+def _overview(folder: Path) -> tuple[Any, bool]:
+    """The overview of a folder, and whether files were left out of it because they are broken; they are named.
+
+    Raises:
+        ConfigError: if no episode is left.
+    """
     from coordlog.record.dataset import open as open_logs
     from coordlog.record.reader import read_attachments, read_episode
     from coordlog.view.overview import to_overview
@@ -122,16 +125,23 @@ def _overview(folder: Path) -> Any:
         task = bar.add_task("reading episodes", total=len(logs), note="")
 
         def shows() -> Iterator[Show]:
+            model = None  # one robot is drawn: the first whose model is there
             for path in logs.paths:
                 episode = logs.attempt(path, read_episode)
                 if episode is not None:
-                    yield Show(path.stem, episode, read_attachments(path), str(path))
+                    attachments = None if model else logs.attempt(path, read_attachments)
+                    model = model or attachments
+                    yield Show(path.stem, episode, attachments or {}, str(path))
                 bar.update(task, advance=1)
 
-        stream = to_overview(shows())
-    for item in logs.skipped:
-        terminal.note(f"skipped: {item.path}: {item.reason}")
-    return stream
+        try:
+            stream = to_overview(shows())
+        except ConfigError as error:
+            raise ConfigError(f"{folder}: no episode to show; {len(logs.skipped)} files were left out") from error
+        finally:
+            for item in logs.skipped:
+                terminal.note(f"skipped: {item.path}: {item.reason}")
+    return stream, bool(logs.skipped)
 
 
 def _save(stream: Any, rrd: Path) -> None:
@@ -146,7 +156,7 @@ def _save(stream: Any, rrd: Path) -> None:
 def _present(rrd: Path, *, screenshot: Path | None, at: float | None, web: bool, port: int, window: bool) -> None:
     """A picture, a page, or a window, as asked."""
     if screenshot is not None:
-        from coordlog.view.viewer import screenshot as take
+        from coordlog.view.headless import screenshot as take
 
         for said in take(rrd, screenshot, at=at):
             terminal.note(said)

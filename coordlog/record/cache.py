@@ -92,14 +92,15 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
         folder.mkdir(parents=True, exist_ok=True)
     digests = {path: file_digest(path) for path in paths}
     known = _known(folder)
-    missing = [path for path, digest in digests.items() if digest not in known]
+    missing = list({digest: path for path, digest in digests.items() if digest not in known}.values())  # of copies, one
     groups, skipped = _alike(missing)
     for built in run(partial(build, folder=folder), groups):
         skipped += built.skipped
     known = _known(folder) if missing else known
     places = [known[digest] for digest in digests.values() if digest in known]
     if not places:
-        raise SpecError("no logs: expected at least one finished episode to learn from" + (f"; {skipped[0].reason}" if skipped else ""))
+        why = f"; {skipped[0].path}: {skipped[0].reason}" if skipped else ""
+        raise SpecError(f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}")
     return _gathered(folder, places, tuple(skipped))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from coordlog.errors import ConfigError, unknown
 
 BALANCE_CRITERIA = ("com", "com+zmp")
-STATE_EXTRAS = ("difference", "com", "velocity")
+STATE_EXTRAS = ("difference", "com", "nearness", "velocity")
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,9 @@ class EnvConfig:
     """The torso leaning further than this from upright [rad] is instability too."""
     start_noise: float = 0.05
     """Start angles are the start pose ± this much [rad], uniform."""
-    state_extras: tuple[str, ...] = ("difference", "com")
-    """What the policy sees beyond the paper's state: any of "difference" (palm to goal), "com", "velocity"."""
+    state_extras: tuple[str, ...] = ("difference", "com", "nearness")
+    """What the policy sees beyond the paper's state: any of "difference" (palm to goal), "com", "nearness" (of spheres to the last link
+    of each arm, if there are any), "velocity"."""
     locked: tuple[str, ...] = ()
     """Action joints that their servos hold at the start angle, whatever the action: state, action and problems stay the same."""
 

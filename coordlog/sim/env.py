@@ -11,7 +11,8 @@ import numpy as np
 import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
-from coordlog.errors import unknown
+from coordlog.errors import ConfigError, unknown
+from coordlog.sim.attached import self_contained
 from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
 from coordlog.sim.draw import Draw, Problem
 from coordlog.sim.physics import STATE, Physics, compile_model
@@ -52,12 +53,18 @@ class BatchEnv:
             n: Number of simulations.
             threads: Threads to step on; 0 for all cores.
             start: Name of the robot's start pose.
+
+        Raises:
+            ConfigError: for a pose, period or name that does not fit the robot's model.
+            FormatError: if the model needs other files.
+            SimulationError: if it does not compile.
         """
         config, reward = config or EnvConfig(), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
         self.text = compose(scene, config)
+        self_contained(self.text.encode())  # a log carries its model as text: what could not be replayed is not recorded
         model = compile_model(self.text)
         self.task = Task(scene.robot, model, config, reward)
         self.physics = Physics(model, n=n, threads=threads)
@@ -166,10 +173,20 @@ def hinges(model: mujoco.MjModel) -> list[Json]:
 
 
 def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
-    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and simulated until it stands still."""
+    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and simulated until it stands still.
+
+    Raises:
+        ConfigError: if the pose names a joint that is not there, or puts one outside its range.
+    """
     data = mujoco.MjData(model)
     for name, angle in robot.poses[pose].items():
-        data.qpos[model.joint(name).qposadr[0]] = angle
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0:
+            raise ConfigError(f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks")
+        low, high = model.jnt_range[joint]
+        if model.jnt_limited[joint] and not low <= angle <= high:
+            raise ConfigError(f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}")
+        data.qpos[model.jnt_qposadr[joint]] = angle
     for i in range(model.nu):
         data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
     mujoco.mj_kinematics(model, data)

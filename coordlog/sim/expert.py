@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from coordlog.episode import Array
+from coordlog.sim.avoid import slide
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -25,10 +26,16 @@ NEAR = 0.06
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
 CLEARANCES = (0.03, 0.02, 0.01, 0.0)
+PROGRESS, PATIENCE = 0.005, 10
+"""A way point is passed by if for this many steps its error has not shrunk by that much [rad]: a sphere is in its place."""
+ROLLOUT = 130
+"""Steps that a way may take."""
 RESTARTS = 60
 """Random postures to search from when no known one leads to the goals."""
 TRIES = 60
 """Random changes to the via poses when no known way is free."""
+VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
+"""Joints of each side that the known via poses bend; a robot that lacks one goes straight to its goals."""
 SPREAD = 0.35
 """Standard deviation of the random changes to the via poses when no known way is free [rad]."""
 
@@ -42,7 +49,12 @@ class Plan:
     bias: Array
     held: Array | None
     """Angles of locked joints, NaN for the others; None where all move."""
+    spheres: Array
     at: int = 0
+    least: float = np.inf
+    """Least error to the present way point so far [rad]."""
+    stuck: int = 0
+    """Steps since it last became less."""
 
 
 class Expert:
@@ -71,7 +83,8 @@ class Expert:
             self._reach.place(obstacle.reshape(-1, 4))
             targets = np.asarray(goal.reshape(-1, 3))
             held = None if self._moves.all() else np.where(self._moves, np.nan, start)
-            self._plans[slot] = Plan(self._way(start, targets, rng, held), targets, np.zeros_like(targets), held)
+            around = obstacle.reshape(-1, 4)
+            self._plans[slot] = Plan(self._way(start, targets, rng, held, around), targets, np.zeros_like(targets), held, around)
 
     def act(self, ids: Array, state: Array) -> Array:
         """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
@@ -81,17 +94,21 @@ class Expert:
         for row, slot in enumerate(ids):
             plan = self._plans[slot]
             assert plan is not None, "begin() comes before act()"
-            error = self._follow(plan, angles[row], palms[row].reshape(-1, 3))
-            wanted = error / (self._step * GAIN_STEPS)
-            action[row] = wanted / max(1.0, np.abs(wanted).max())
+            action[row] = self._towards(self._follow(plan, angles[row], palms[row].reshape(-1, 3)), angles[row], plan.spheres)
         return action
+
+    def _towards(self, error: Array, angles: Array, spheres: Array) -> Array:
+        """The action that takes up an error, all joints arriving together, sliding past spheres, (n_u,)."""
+        wanted = error / (self._step * GAIN_STEPS)
+        action = wanted / max(1.0, np.abs(wanted).max())
+        if not len(spheres):
+            return np.asarray(action)
+        moved = slide(self._reach, angles, action * self._step, spheres=spheres, effort=self._step) / self._step
+        return np.asarray(moved / max(1.0, np.abs(moved).max()))
 
     def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
         """Error of the joints that move to the present way point [rad]; passes way points and corrects the last one."""
-        error = np.asarray(plan.points[plan.at] - angles) * self._moves
-        while plan.at + 1 < len(plan.points) and np.abs(error).max() < ARRIVED:
-            plan.at += 1
-            error = (plan.points[plan.at] - angles) * self._moves
+        error = self._next(plan, angles)
         if plan.at + 1 == len(plan.points) and np.abs(error).max() < NEAR:
             plan.bias += CORRECTION * (plan.goals - palms)
             corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1], held=plan.held)
@@ -100,15 +117,30 @@ class Expert:
                 error = (corrected - angles) * self._moves
         return error
 
-    def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None) -> list[Array]:
+    def _next(self, plan: Plan, angles: Array) -> Array:
+        """Error to the way point that is next, once those that are reached, or blocked by a sphere, are passed."""
+        error = np.asarray(plan.points[plan.at] - angles) * self._moves
+        size = float(np.abs(error).max())
+        plan.stuck = 0 if size < plan.least - PROGRESS else plan.stuck + 1
+        plan.least = min(plan.least, size)
+        while plan.at + 1 < len(plan.points) and (np.abs(error).max() < ARRIVED or plan.stuck > PATIENCE):
+            plan.at, plan.stuck, plan.least = plan.at + 1, 0, np.inf
+            error = (plan.points[plan.at] - angles) * self._moves
+        return error
+
+    def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None, spheres: Array) -> list[Array]:
         """The first way that keeps its distance from everything; the known ways first, then random changes to them."""
         ends = self._ends(goals, rng, held)
         ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
+        known = [[*vias, end] for end in ends for vias in ways]
+        if len(spheres):
+            found = next((way for way in known if self._slides(start, way, goals, spheres)), None)
+            if found is not None:
+                return found
         for clearance in CLEARANCES:
-            for end in ends:
-                for vias in ways:
-                    if self._clear([start, *vias, end], clearance):
-                        return [*vias, end]
+            for way in known:
+                if self._clear([start, *way], clearance):
+                    return way
         low, high = self._task.limits.T
         spread = SPREAD * self._moves * self._step / self._step.max()  # a slow spine's detour would take the whole episode
         for _ in range(TRIES):
@@ -129,14 +161,26 @@ class Expert:
                 return [end]
         return legal or [self._reach.standing_angles if held is None else np.where(self._moves, self._reach.standing_angles, held)]
 
+    def _slides(self, start: Array, way: list[Array], goals: Array, spheres: Array) -> bool:
+        """Whether following a way, sliding past spheres, arrives without touching anything, the base standing still."""
+        plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, spheres), start.copy()
+        for _ in range(ROLLOUT):
+            error = self._next(plan, angles)
+            if plan.at + 1 == len(way) and np.abs(error).max() < NEAR:
+                return True
+            angles = angles + self._towards(error, angles, spheres) * self._step
+            if self._reach.touches(angles):
+                return False
+        return False
+
     def _clear(self, points: list[Array], clearance: float) -> bool:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
 
 
 def _ways(task: Task) -> list[list[Array]]:
-    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot without elbows to flex."""
+    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot with other joints."""
     joints = task.robot.action_joints
-    if "l_shoulder_x" not in joints:
+    if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):
         return [[]]
 
     def posture(**degrees: float) -> Array:

@@ -20,7 +20,7 @@ from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.draw import SPLITS
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.picture import Painter, view_of
-from coordlog.sim.scene import find
+from coordlog.sim.scene import Scene, find
 from coordlog.sim.simulation import Outcome
 
 OPTIONS = ("index", "split")
@@ -53,7 +53,7 @@ class GymEnv(gymnasium.Env[Observation, Array]):
 
     def __init__(
         self,
-        scene: str = "free",
+        scene: str | Scene = "free",
         *,
         config: EnvConfig | None = None,
         reward: RewardConfig | None = None,
@@ -63,7 +63,7 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         """Build the scene.
 
         Args:
-            scene: Name of a scene.
+            scene: Name of a scene that ships, or a scene of your own.
             config: Control, endings, balance and state.
             reward: Constants of the reward.
             split: Which stream of problems to draw from, unless a reset says otherwise.
@@ -75,7 +75,7 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise unknown("render mode", str(render_mode), self.metadata["render_modes"])
         self.render_mode, self._split = render_mode, _known_split(split)
-        self._env = BatchEnv(find(scene), config, reward, threads=1)
+        self._env = BatchEnv(find(scene) if isinstance(scene, str) else scene, config, reward, threads=1)
         self._painter: Painter | None = None
         self._seed, self._index = -1, -1
         self._observation: Observation | None = None

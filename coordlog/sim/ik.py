@@ -14,6 +14,7 @@ from coordlog.episode import Array
 from coordlog.sim.balance import support_margin
 from coordlog.sim.robot import Robot
 from coordlog.sim.scene import sole_corner, sphere_geom
+from coordlog.sim.state import TIP
 
 ITERATIONS = 60
 DAMPING = 0.03
@@ -64,6 +65,24 @@ class Reach:
     def angles_of(robot: Robot, pose: str) -> Array:
         """Action joint angles of a named pose, (n_u,) [rad]."""
         return np.array([robot.poses[pose].get(name, 0.0) for name in robot.action_joints])
+
+    def approaches(self, angles: Array, spheres: Array) -> list[tuple[Array, int, Array, float]]:
+        """Each last link beside each sphere (rows of x, y, z, radius): the link's nearest point and body, centre, radius."""
+        palms, found = self.palms(angles), []
+        for palm, site in zip(palms, self._sites, strict=True):
+            body = int(self._model.site_bodyid[site])
+            start, along = self._data.xpos[body].copy(), TIP * (palm - self._data.xpos[body])
+            for *place, radius in spheres:
+                centre = np.array(place)
+                share = np.clip((centre - start) @ along / (along @ along), 0.0, 1.0)
+                found.append((start + share * along, body, centre, float(radius)))
+        return found
+
+    def jacobian_at(self, point: Array, body: int) -> Array:
+        """How a point of a body moves with the joints, (3, n_u) [m/rad], at the angles of the last call of `approaches`."""
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_jac(self._model, self._data, self._jacobian, None, point, body)
+        return np.asarray(self._jacobian[:, self._dofs].copy())
 
     def place(self, spheres: Array) -> None:
         """Put the sphere obstacles where a problem has them, rows of x, y, z, radius."""
@@ -121,7 +140,7 @@ class Reach:
         return None
 
     def descend(self, goals: Array, seed: Array, *, held: Array | None = None) -> Array | None:
-        """Joint angles near `seed` with every palm on its goal, legal or not; None if the search does not get there. `held` as in `solve`."""
+        """Joint angles near `seed` with every palm on its goal, legal or not; None if there is no way. `held` as in `solve`."""
         moves = np.ones(len(seed), dtype=bool) if held is None else np.isnan(held)
         seed = seed if held is None else np.where(moves, seed, held)
         angles = np.clip(seed, self.limits[:, 0], self.limits[:, 1])

@@ -52,6 +52,15 @@ class Scene:
     sphere_box: Box3 | None = None
     """Where their centres are drawn, (x, y, z) ranges [m]."""
 
+    def __post_init__(self) -> None:
+        if (self.object_half is None) != (self.object_box is None):
+            raise ConfigError(f"scene '{self.name}': an object needs both object_half and object_box, got one of them")
+        if self.object_box is not None and len(self.robot.arms) != 2:
+            got = f"got {len(self.robot.arms)}; without an object every arm has a goal of its own"
+            raise ConfigError(f"scene '{self.name}': an object needs two arms, the left one first, {got}")
+        if self.spheres and self.sphere_box is None:
+            raise ConfigError(f"scene '{self.name}': spheres need a sphere_box to be drawn in, got none")
+
 
 def _table(*, edge: float, top: float, depth: float, half_width: float, half_thickness: float = 0.03) -> tuple[Panel, ...]:
     return (Panel("table", (edge + depth / 2, 0.0, top - half_thickness), (depth / 2, half_width, half_thickness)),)
@@ -118,7 +127,7 @@ def find(name: str) -> Scene:
         ConfigError: for an unknown name; the message lists the choices.
     """
     if name not in SCENES:
-        raise unknown("scene", name, SCENES)
+        raise unknown("scene", name, [*SCENES, "a FILE.py:NAME of your own"])
     return SCENES[name]
 
 
@@ -130,13 +139,16 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
 
     Args:
         scene: What to build.
-        config: Decides whether the zero-moment point's sensor is needed.
+        config: Decides whether the zero-moment point's and the last links' sensors are needed.
         radii: Radii of the spheres [m]; without them the scene's largest.
 
     Raises:
-        ConfigError: if the robot's model lacks something its spec names.
+        ConfigError: if the robot's model is no XML, or lacks something its spec names.
     """
-    root = ET.fromstring(scene.robot.mjcf)
+    try:
+        root = ET.fromstring(scene.robot.mjcf)
+    except ET.ParseError as error:
+        raise ConfigError(f"robot '{scene.robot.name}': expected its model as MJCF text: {error}") from error
     world = _section(root, "worldbody")
     base = str(_first(world, "body", scene.robot).get("name"))
     ET.SubElement(_section(root, "option"), "flag", autoreset="disable")  # a diverged state stays visible instead of jumping to zero
@@ -151,6 +163,8 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
     _mocap_bodies(world, scene, radii)
     _soles(root, scene.robot)
     _sensors(_section(root, "sensor"), scene.robot, config, base=base)
+    if scene.spheres and "nearness" in config.state_extras:
+        _links(root, scene.robot)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -163,6 +177,11 @@ def goal_body(arm: str) -> str:
 def palm_sensor(arm: str) -> str:
     """Name of the sensor that reads an arm's palm position."""
     return f"palm_{arm}"
+
+
+def link_sensor(arm: str) -> str:
+    """Name of the sensor that reads where an arm's last link, which bears its palm, begins."""
+    return f"link_{arm}"
 
 
 def sphere_geom(index: int) -> str:
@@ -215,6 +234,15 @@ def _sensors(sensor: ET.Element, robot: Robot, config: EnvConfig, *, base: str) 
                 ET.SubElement(sensor, "framepos", name=sole_corner(sole, i), objtype="site", objname=sole_corner(sole, i))
         if config.balance == "com+zmp":
             ET.SubElement(sensor, "subtreelinvel", name="com_velocity", body=base)
+
+
+def _links(root: ET.Element, robot: Robot) -> None:
+    """Sensors of where each arm's last link begins."""
+    bearers = {str(site.get("name")): str(body.get("name")) for body in root.iter("body") for site in body.findall("site")}
+    for arm in robot.arms:
+        if arm.palm not in bearers:
+            raise ConfigError(f"robot '{robot.name}': expected a site called '{arm.palm}' as a palm, found none")
+        ET.SubElement(_section(root, "sensor"), "framepos", name=link_sensor(arm.name), objtype="xbody", objname=bearers[arm.palm])
 
 
 def _first(parent: ET.Element, tag: str, robot: Robot) -> ET.Element:

@@ -15,6 +15,10 @@ from coordlog.sim.robot import Robot
 COM_SCALE = 0.1
 RADIUS_SCALE = 0.1
 SPEED_SCALE = 1.0
+NEAR = 0.2
+"""A sphere is near within this distance of its surface [m]."""
+TIP = 1.2
+"""An arm's last link reaches from its joint to its palm, and this much of that way in all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +29,7 @@ class StateView:
     offset: Array  # (n_x,)
     scale: Array  # (n_x,)
     places: Mapping[str, slice]
-    """Entries of each part: "angles", "palms", "goals", and where present "spheres", "difference", "com", "velocity"."""
+    """Entries of each part: "angles", "palms", "goals", and where present "spheres", "difference", "com", "nearness", "velocity"."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -87,7 +91,36 @@ def state_view(robot: Robot, limits: Array, *, spheres: int, config: EnvConfig) 
         part("difference", points("difference", arms), [0.0] * 3 * len(arms), [robot.reach / 2] * 3 * len(arms))
     if "com" in config.state_extras and robot.soles:
         part("com", ["com_x", "com_y"], [0.0, 0.0], [COM_SCALE] * 2)
+    if "nearness" in config.state_extras and spheres:
+        entries = [f"near_{i}_{arm}_{axis}" for i in range(spheres) for arm in arms for axis in "xyz"]
+        part("nearness", entries, [0.0] * len(entries), [1.0] * len(entries))
     if "velocity" in config.state_extras:
         joints = [f"{name}_velocity" for name in robot.action_joints]
         part("velocity", joints, [0.0] * len(joints), [SPEED_SCALE] * len(joints))
     return StateView(tuple(names), np.array(offset), np.array(scale), places)
+
+
+def nearness(links: Array, palms: Array, spheres: Array) -> Array:
+    """How near each sphere is to the last link of each arm, and which way: (n, spheres, k, 3).
+
+    The direction from the nearest point of the link to the sphere's centre, as long as 1 where its surface is touched and shrinking to 0
+    where it is `NEAR` away.
+
+    Args:
+        links: Where the links begin, (n, k, 3) [m].
+        palms: (n, k, 3) [m].
+        spheres: x, y, z and radius, (n, spheres, 4) [m].
+    """
+    along, centre = TIP * (palms - links)[:, None], spheres[:, :, None, :3]  # (n, 1, k, 3), (n, s, 1, 3)
+    from_link = centre - links[:, None]
+    share = _dot(from_link, along) / np.maximum(_dot(along, along), 1e-12)
+    away = from_link - np.clip(share, 0.0, 1.0)[..., None] * along
+    distance = np.sqrt(_dot(away, away))
+    near = np.clip(1.0 - (distance - spheres[:, :, None, 3]) / NEAR, 0.0, None)
+    return np.asarray(away * (near / np.maximum(distance, 1e-12))[..., None])
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Scalar products over the last axis, each computed alike however many there are."""
+    product = a * b
+    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])

@@ -15,8 +15,8 @@ from coordlog.errors import ConfigError, unknown
 from coordlog.sim import balance
 from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.robot import Robot
-from coordlog.sim.scene import goal_body, palm_sensor, sole_corner, sphere_geom
-from coordlog.sim.state import state_view
+from coordlog.sim.scene import goal_body, link_sensor, palm_sensor, sole_corner, sphere_geom
+from coordlog.sim.state import nearness, state_view
 
 
 class Task:
@@ -47,6 +47,9 @@ class Task:
         self.qvel_index: Array = np.array([joint.dofadr[0] for joint in joints])
         self.servos: Array = np.array(servos)
         self.limits: Array = np.array([joint.range for joint in joints])  # (n_u, 2) rad
+        for name, (low, high) in zip(robot.action_joints, self.limits, strict=True):
+            if not low < high:
+                raise ConfigError(f"robot '{robot.name}': expected a range for joint '{name}', which the action moves; its model has none")
         shared = [name in robot.shared and bool(robot.soles) for name in robot.action_joints]
         for name in config.locked:
             if name not in robot.action_joints:
@@ -54,6 +57,8 @@ class Task:
         self.locked: Array = np.isin(robot.action_joints, config.locked)  # (n_u,) bool
         self.speeds: Array = np.where(shared, config.shared_speed, config.speed) * ~self.locked  # (n_u,) rad/s at action 1
         self.view = state_view(robot, self.limits, spheres=self.n_spheres, config=config)
+        if "nearness" in self.view.places:
+            self._links = self._sensors([link_sensor(arm.name) for arm in robot.arms])
         if robot.soles:
             self._com = self._sensors(["com"])
             self._upright = self._sensors(["upright"])
@@ -107,6 +112,8 @@ class Task:
             parts["difference"] = (goals - palms).reshape(n, -1)
         if "com" in self.view.places:
             parts["com"] = sensors[:, self._com[0, :2]]
+        if "nearness" in self.view.places:
+            parts["nearness"] = nearness(sensors[:, self._links], palms, spheres).reshape(n, -1)
         if "velocity" in self.view.places:
             parts["velocity"] = qvel[:, self.qvel_index]
         return self.view.scaled(parts)

@@ -16,6 +16,10 @@ from coordlog.train.task import Motion, Task
 
 FARTHEST = 2.0
 """A palm is taken to be no further from its goal than this many workspace radii; bounds the return."""
+SPHERES = ("spheres", "nearness")
+"""Parts of a state that tell of one sphere after the other."""
+SPHERE = 4
+"""Entries of a sphere in the first of them: where it is, and its radius."""
 SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "state_scale")
 """Keys of the record that must agree for logs to be learnt from together."""
 
@@ -27,7 +31,9 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         env: The record.
         reward: Constants to learn from instead of those the record names.
     """
-    layout = env["layout"]
+    layout, places = env["layout"], StateView.from_json(env).places
+    listed = tuple(places[name] for name in SPHERES if name in places)
+    spheres = (places["spheres"].stop - places["spheres"].start) // SPHERE if "spheres" in places else 0
     return Task(
         n_x=layout["n_x"],
         n_u=layout["n_u"],
@@ -36,7 +42,8 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         farthest=FARTHEST * env["robot"]["reach"],
         view=goal_view(env),
         motion=motion(env),
-        spheres=StateView.from_json(env).places.get("spheres"),
+        spheres=spheres,
+        listed=listed,
     )
 
 

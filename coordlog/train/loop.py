@@ -70,6 +70,7 @@ class Trainer:
         self.task, self.settings, self.folder, self.source = task, settings, folder, source
         self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
         loop, replay = settings.loop, settings.replay
+        _require_device(device)
         if source is not None and loop.steps == 0:
             raise ConfigError("loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone")
         if source is None and loop.updates == 0:
@@ -292,3 +293,14 @@ class Trainer:
         self._evaluated = meta["evaluated"]
         self._rng = generator_from_json(meta["generators"][0])
         self._noise.load_state(meta["generators"][1], under("noise.", arrays))
+
+
+def _require_device(name: str) -> None:
+    """Refuse a device that networks cannot be put on."""
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(
+            f"device: expected cpu, or another that this machine and this build of torch have, got '{name}': {reason}"
+        ) from error

@@ -7,6 +7,7 @@ instability do not depend on goals and stay as logged. Valid because the object 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple, Protocol
@@ -17,8 +18,6 @@ from coordlog.episode import Array
 from coordlog.errors import SpecError
 
 AXES = 3
-SPHERE = 4
-"""Entries of a sphere in a state: where it is, and its radius."""
 
 
 class RewardFunction(Protocol):
@@ -112,12 +111,20 @@ def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int =
     return np.asarray(now + (rng.random(len(now)) * span).astype(now.dtype))
 
 
-def reorder(rng: np.random.Generator, spheres: slice, *states: Array) -> None:
-    """List the spheres of each row in an order of chance, in place, the same in all of these states (n, n_x)."""
-    listed = [state[:, spheres].reshape(len(state), -1, SPHERE) for state in states]
-    order = rng.permuted(np.broadcast_to(np.arange(listed[0].shape[1]), listed[0].shape[:2]), axis=1)
-    for state, each in zip(states, listed, strict=True):
-        state[:, spheres] = np.take_along_axis(each, order[:, :, None], axis=1).reshape(len(state), -1)
+def reorder(rng: np.random.Generator, count: int, places: Sequence[slice], *states: Array) -> None:
+    """List the spheres of each row in an order of chance, in place, the same in all of these states (n, n_x).
+
+    Args:
+        rng: Chance.
+        count: Number of spheres.
+        places: Parts of a state that tell of one sphere after the other.
+        states: The states.
+    """
+    order = rng.permuted(np.broadcast_to(np.arange(count), (len(states[0]), count)), axis=1)[:, :, None]
+    for state in states:
+        for place in places:
+            each = state[:, place].reshape(len(state), count, -1)
+            state[:, place] = np.take_along_axis(each, order, axis=1).reshape(len(state), -1)
 
 
 def value_bounds(reward: RewardFunction, *, k: int, gamma: float, farthest: float) -> tuple[float, float]:

@@ -159,7 +159,6 @@ class MixedReplay:
         if config.hindsight > 0 and task.view is None:
             raise ConfigError("replay.hindsight: expected to know where goals stand in the state; set it to 0 for this task")
         self._config, self._task, self._gamma = config, task, gamma
-        self._spheres = task.spheres if config.reorder else None
         self._logs, self._live, self._device, self._widths = logs, live, torch.device(device), stores[0].widths
 
     def sample(self, rng: np.random.Generator) -> Batch:
@@ -170,8 +169,8 @@ class MixedReplay:
             self._fill(rng, self._logs, out.rows(slice(0, logged)), imitation=(1.0, 1.0))
         if self._live is not None and logged < size:
             self._fill(rng, self._live, out.rows(slice(logged, size)), imitation=(self._config.imitation, 0.0))
-        if self._spheres is not None:
-            reorder(rng, self._spheres, out.state, out.next_state)
+        if self._config.reorder and self._task.spheres:
+            reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
 
     def _logged(self) -> int:

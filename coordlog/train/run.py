@@ -22,7 +22,7 @@ from coordlog.errors import ConfigError, StorageError
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK = "run.json", "data.lock"
-MUST_AGREE = ("env", "scene", "mode", "seed", "envs", "where", "data")
+MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data")
 """Keys of run.json that a resumed run may not change."""
 
 
@@ -37,14 +37,23 @@ def begin(folder: Path, said: Json, *, data: Sequence[tuple[str, str]]) -> None:
     Raises:
         StorageError: if the folder holds a run already, or cannot be written.
     """
-    if (folder / RUN).exists():
-        raise StorageError(f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder")
+    require_new(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / LOCK).write_text("".join(f"{digest}  {name}\n" for digest, name in data), encoding="utf-8")
         (folder / RUN).write_text(json.dumps({**said, "versions": versions(), "git": revision()}, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise StorageError(f"{folder}: cannot begin a run: {error.strerror}") from error
+
+
+def require_new(folder: Path) -> None:
+    """Refuse a folder that holds a run.
+
+    Raises:
+        StorageError: if it does.
+    """
+    if (folder / RUN).exists():
+        raise StorageError(f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder")
 
 
 def recall(folder: Path) -> Json:
@@ -75,8 +84,18 @@ def require_same(before: Json, now: Json, *, folder: Path) -> None:
     """
     for key in MUST_AGREE:
         if before.get(key) != now.get(key):
-            shown = [str(value)[:60] for value in (before.get(key), now.get(key))]
-            raise ConfigError(f"{folder}: resume with the run's own options: its {key} was {shown[0]} and is now {shown[1]}")
+            name, *values = _difference(key, before.get(key), now.get(key))
+            was, now_is = (repr(value)[:60] for value in values)
+            raise ConfigError(f"{folder}: resume with the run's own options: its {name} was {was} and is now {now_is}")
+
+
+def _difference(name: str, before: object, now: object) -> tuple[str, object, object]:
+    """The first entry that differs, by its dotted name."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in {**before, **now}:
+            if before.get(key) != now.get(key):
+                return _difference(f"{name}.{key}", before.get(key), now.get(key))
+    return name, before, now
 
 
 def versions() -> dict[str, str]:

@@ -116,10 +116,9 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
     """Raise ConfigError unless a resumed run's settings are those it was saved with; its budget may be another."""
     for section, values in settings.asdict().items():
         for key, value in values.items():
-            if saved[section].get(key) != value and (section, key) not in BUDGET:
-                raise ConfigError(
-                    f"resume: {section}.{key} was {saved[section].get(key)!r} and is now {value!r}; resume with the run's own settings"
-                )
+            before = saved.get(section, {}).get(key)
+            if before != value and (section, key) not in BUDGET:
+                raise ConfigError(f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings")
 
 
 def load_settings(

@@ -39,8 +39,10 @@ class Task:
     """Where palms and goals stand in the state; without it there are no goals in hindsight."""
     motion: Motion | None = None
     """What an action does to the state's joint angles; without it, what was done is imitated as it was done."""
-    spheres: slice | None = None
-    """Where the state lists spheres, `relabel.SPHERE` entries each, if it does; their order means nothing."""
+    spheres: int = 0
+    """Number of spheres that the state tells of."""
+    listed: Sequence[slice] = ()
+    """Where it tells of one sphere after the other; their order means nothing."""
 
     @property
     def widths(self) -> tuple[int, int, int]:

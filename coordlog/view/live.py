@@ -20,10 +20,11 @@ import rerun.blueprint as rrb
 from coordlog.errors import ConfigError, SpecError
 from coordlog.view import palette
 from coordlog.view.camera import Camera, camera
+from coordlog.view.draft import Draft
 from coordlog.view.layout import panes, space
 from coordlog.view.outcome import KINDS, Outcome, about_all
 from coordlog.view.recording import MARKDOWN, new_stream
-from coordlog.view.scene import draw_end
+from coordlog.view.scene import draw_end, draw_floor
 from coordlog.view.show import Show, Stage
 
 TIMELINE = "update"
@@ -100,11 +101,15 @@ class Live:
         stream.log("/about", rr.TextDocument(about_all(outcomes), media_type=MARKDOWN))
         with_model = next((show for show in shows if show.attachments), None)
         if with_model is not None:
-            stage = Stage(with_model)
+            stage, always = Stage(with_model), Draft()
             if self._camera is None:
                 self._camera = camera([stage])
                 self._arrange()
-            draw_end(stream, stage, self._camera.eye)
+                draw_floor(always, stage)
+            now = Draft(rr.TimeColumn(TIMELINE, sequence=[update]))
+            draw_end(now, stage, self._camera.eye)
+            for draft in (always, now):
+                draft.send(stream)
 
     def _arrange(self) -> None:
         """Lay the panels out, those of the figures known so far."""

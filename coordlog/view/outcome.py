@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,8 +22,12 @@ KINDS: dict[str, Colour] = {
     "aborted": EXECUTED,
 }
 """How an episode can end, and its colour in every panel."""
-TOP = 5
-"""Episodes named per reason to look at them."""
+URGENT = ("aborted", "fell", "not reached", "success with collision", "clean success")
+"""The same, those that ask most to be looked at first."""
+TOP = 12
+"""Episodes named in the summary."""
+OF_ONE_KIND = 5
+"""And at most so many that ended alike, as long as there are others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,22 @@ class Outcome:
         """Final distance of the arm that is farther off [m]."""
         return float(self.final.max())
 
+    @property
+    def urgency(self) -> tuple[float, ...]:
+        """Sorts episodes, those to look at first in front: the failures, the earliest fall, most collisions, largest distance."""
+        soon = self.steps if self.kind == "fell" else -self.steps
+        far = -self.worst if self.kind == "not reached" and np.isfinite(self.worst) else 0.0
+        return (URGENT.index(self.kind), far, -self.collisions if self.kind == "success with collision" else 0, soon)
+
+    @property
+    def why(self) -> str:
+        """What makes it worth a look, in a few words."""
+        touched = f"{self.collisions} steps of collision"
+        if self.kind == "success with collision":
+            return touched
+        when = f"after {self.seconds:.2f} s" if self.kind in ("aborted", "fell") else f"{self.worst * 100:.1f} cm off"
+        return f"{when}, {touched}" if self.collisions else when
+
 
 def kind(episode: Episode) -> str:
     """Which of KINDS an episode is."""
@@ -97,31 +118,41 @@ def about_one(outcome: Outcome) -> str:
 
 
 def about_all(outcomes: Sequence[Outcome]) -> str:
-    """How many ended how, and which episodes are worth opening, as Markdown."""
+    """How many ended how, and which episodes to open next, as Markdown."""
+    scenes = ", ".join(sorted({plain(outcome.scene) for outcome in outcomes}))
+    counts = {name: sum(outcome.kind == name for outcome in outcomes) for name in KINDS}
+    shares = [f"**{count} {name}** ({count / len(outcomes):.1%})" for name, count in counts.items() if count]
+    lines = [f"### {len(outcomes)} episodes: {scenes}", "", ", ".join(shares)]
     finals = np.array([outcome.worst for outcome in outcomes])
-    lines = [f"## {len(outcomes)} episodes", "", f"scenes: {', '.join(sorted({plain(outcome.scene) for outcome in outcomes}))}", ""]
-    lines += ["| ended as | episodes | share |", "|---|---|---|"]
-    for name in KINDS:
-        count = sum(outcome.kind == name for outcome in outcomes)
-        lines.append(f"| {name} | {count} | {count / len(outcomes):.1%} |")
     finite = finals[np.isfinite(finals)]
     if len(finite):
-        median, worst = np.percentile(finite, [50, 90])
-        lines += ["", f"final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {worst * 100:.1f} cm"]
-    lines += ["", "## Open next", "", "Put the cursor of the time line on an episode to see it in the scene.", ""]
-    for reason, found in _worth(outcomes).items():
-        lines += [f"**{reason}**", "", *(f"- {index}: {plain(outcome.file)} – {outcome.verdict}" for index, outcome in found), ""]
-    return "\n".join(lines)
+        median, most = np.percentile(finite, [50, 90])
+        lines += ["", f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm."]
+    lines += ["", "### Open next", "", "| # | episode | ended as | why |", "|---|---|---|---|"]
+    names = _short([outcome.file for outcome in outcomes])
+    lines += [f"| {i} | {plain(names[i])} | {outcomes[i].kind} | {outcomes[i].why} |" for i in worth_a_look(outcomes)]
+    return "\n".join([*lines, "", "Put the cursor of the time line on its number to see its hands and the command that opens it."])
 
 
-def _worth(outcomes: Sequence[Outcome]) -> dict[str, list[tuple[int, Outcome]]]:
-    """Reasons to look at an episode, and the episodes that give them most, with their places on the time line."""
-    every = list(enumerate(outcomes))
-    rankings = {
-        "fell soonest": sorted((each for each in every if each[1].kind == "fell"), key=lambda each: each[1].steps),
-        "most collisions": sorted((each for each in every if each[1].collisions), key=lambda each: -each[1].collisions),
-        "ended farthest off": sorted((each for each in every if each[1].kind == "not reached"), key=lambda each: -each[1].worst),
-        "slowest clean success": sorted((each for each in every if each[1].kind == "clean success"), key=lambda each: -each[1].steps),
-        "cut short": [each for each in every if each[1].kind == "aborted"],
-    }
-    return {reason: found[:TOP] for reason, found in rankings.items() if found}
+def by_urgency(outcomes: Sequence[Outcome]) -> list[int]:
+    """Numbers of all episodes, the one to look at first in front."""
+    return sorted(range(len(outcomes)), key=lambda i: outcomes[i].urgency)
+
+
+def worth_a_look(outcomes: Sequence[Outcome]) -> list[int]:
+    """Numbers of at most TOP episodes: the most urgent of every kind, then more of the most urgent kind."""
+    ranked, seen = by_urgency(outcomes), dict.fromkeys(KINDS, 0)
+    chosen = []
+    for i in ranked:
+        seen[outcomes[i].kind] += 1
+        if seen[outcomes[i].kind] <= OF_ONE_KIND:
+            chosen.append(i)
+    chosen = chosen[:TOP]
+    more = [i for i in ranked if i not in chosen][: TOP - len(chosen)]
+    return sorted(chosen + more, key=lambda i: outcomes[i].urgency)
+
+
+def _short(files: Sequence[str]) -> list[str]:
+    """Files by what tells them apart: the folders they share are left out."""
+    folder = os.path.commonpath([os.path.dirname(file) for file in files])
+    return [(os.path.relpath(file, folder) if folder else file).removesuffix(".mcap") for file in files]

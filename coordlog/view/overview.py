@@ -13,8 +13,10 @@ import rerun as rr
 from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.view import palette
-from coordlog.view.outcome import KINDS, Outcome, about_all, about_one
-from coordlog.view.overview_layout import TIMELINE, overview_layout
+from coordlog.view.camera import AROUND
+from coordlog.view.draft import Draft
+from coordlog.view.outcome import KINDS, Outcome, about_all, about_one, by_urgency
+from coordlog.view.overview_layout import RANK, TIMELINE, overview_layout
 from coordlog.view.plots import lines
 from coordlog.view.recording import MARKDOWN, new_stream
 from coordlog.view.scene import draw_start
@@ -25,7 +27,7 @@ WINDOW = 50
 BIN = 0.005
 """Width of the histogram's bins [m]."""
 FARTHEST = 0.60
-"""Final distances beyond this are counted in the last bin [m]."""
+"""Final distances beyond this are counted in the last bin [m]; it ends nearer if they all do."""
 
 
 def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
@@ -49,7 +51,9 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
     stream = new_stream(f"{len(outcomes)} episodes")
     stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if stage is not None:
-        draw_start(stream, stage)
+        draft = Draft()
+        draw_start(draft, stage)
+        draft.send(stream)
     draw_paths(stream, outcomes)
     draw_cursor(stream, outcomes)
     plot_rates(stream, outcomes)
@@ -57,9 +61,11 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
     stream.log("/about", rr.TextDocument(about_all(outcomes), media_type=MARKDOWN), static=True)
     texts = rr.TextDocument.columns(text=[about_one(outcome) for outcome in outcomes], media_type=[MARKDOWN] * len(outcomes))
     stream.send_columns("/episode", [_numbers(outcomes)], texts)
-    palms = [outcome.palms.reshape(-1, 3) for outcome in outcomes]
-    robot = [] if stage is None else [stage.motion.position[0, 1:]]
-    stream.send_blueprint(overview_layout(np.concatenate([*palms, *robot])))
+    seen = [outcome.palms.reshape(-1, 3) for outcome in outcomes]
+    if stage is not None:  # with room around the joints' middles, or the head would be cut off
+        robot = stage.motion.position[0, [geom.index for geom in stage.geometry.of_place("robot")]]
+        seen += [robot - AROUND, robot + AROUND]
+    stream.send_blueprint(overview_layout(np.concatenate(seen)))
     return stream
 
 
@@ -102,31 +108,37 @@ def plot_rates(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
     succeeded = np.array([outcome.kind in ("clean success", "success with collision") for outcome in outcomes])
     rates = np.stack([running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
     names, colours = ["clean success", "success", "collision"], [palette.GOOD, palette.FAIR, palette.BAD]
-    lines(stream, "/rate", time, rates, names=names, colours=colours, width=2.0)
+    draft = Draft()
+    lines(draft, "/rate", time, rates, names=names, colours=colours, width=2.0)
+    draft.send(stream)
     worst = np.array([outcome.worst for outcome in outcomes])
     marks = rr.SeriesPoints(colors=[palette.JOINTS[0]], markers=["circle"], marker_sizes=[2.0], names=["farther palm"])
     stream.log("/final", marks, static=True)
     stream.send_columns("/final", [time], rr.Scalars.columns(scalars=100.0 * worst))
-    edges = np.arange(0.0, FARTHEST + BIN / 2, BIN)
-    counts, _ = np.histogram(np.clip(worst[np.isfinite(worst)], 0.0, FARTHEST - BIN / 2), bins=edges)
+    finite = np.minimum(worst[np.isfinite(worst)], FARTHEST - BIN / 2)
+    edges = np.arange(0.0, finite.max(initial=0.0) + 2 * BIN, BIN)
+    counts, _ = np.histogram(finite, bins=edges)
     widths = np.full(len(counts), 100.0 * BIN)
     bars = rr.BarChart(counts, color=palette.JOINTS[0], abscissa=100.0 * (edges[:-1] + BIN / 2), widths=widths)
     stream.log("/histogram", bars, static=True)
 
 
 def log_table(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
-    """Log one row per episode for the table view."""
+    """Log one row per episode for the table view, those to look at first on top."""
+    order = by_urgency(outcomes)
+    ranked = [outcomes[i] for i in order]
     columns = rr.AnyValues.columns(
-        ended_as=[outcome.kind for outcome in outcomes],
-        seconds=[outcome.seconds for outcome in outcomes],
-        final_cm=[round(100.0 * outcome.worst, 2) for outcome in outcomes],
-        collision_steps=[outcome.collisions for outcome in outcomes],
-        total_return=[float(outcome.returns.sum()) for outcome in outcomes],
-        scene=[outcome.scene for outcome in outcomes],
-        policy=[outcome.policy for outcome in outcomes],
-        file=[outcome.file for outcome in outcomes],
+        episode=order,
+        ended_as=[outcome.kind for outcome in ranked],
+        seconds=[outcome.seconds for outcome in ranked],
+        final_cm=[round(100.0 * outcome.worst, 2) for outcome in ranked],
+        collision_steps=[outcome.collisions for outcome in ranked],
+        total_return=[float(outcome.returns.sum()) for outcome in ranked],
+        scene=[outcome.scene for outcome in ranked],
+        policy=[outcome.policy for outcome in ranked],
+        file=[outcome.file for outcome in ranked],
     )
-    stream.send_columns("/table", [_numbers(outcomes)], columns)
+    stream.send_columns("/table", [rr.TimeColumn(RANK, sequence=np.arange(len(order)))], columns)
 
 
 def _numbers(outcomes: Sequence[Outcome]) -> rr.TimeColumn:

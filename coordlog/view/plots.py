@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 
 from coordlog.episode import Array
+from coordlog.view.draft import Draft
 from coordlog.view.palette import ARMS, BAD, EXECUTED, FAIR, GOOD, JOINTS, Colour, bright, cycle, pale
 from coordlog.view.show import Stage, clock
 
@@ -20,16 +21,16 @@ NOT = "no"
 """State of a flag that is down; its lane is empty then."""
 
 
-def plot(stream: rr.RecordingStream, stage: Stage, *, behind: bool = False) -> None:
+def plot(draft: Draft, stage: Stage, *, behind: bool = False) -> None:
     """Log every time series of one show; `behind` draws it pale and thin, because another show is the one to look at."""
     suffix = f" ({stage.label})" if stage.label else ""
     for group, index in stage.groups.items():
-        plot_joints(stream, stage, group, index, behind=behind, suffix=suffix)
-    plot_outcomes(stream, stage, behind=behind, suffix=suffix)
-    plot_flags(stream, stage)
+        plot_joints(draft, stage, group, index, behind=behind, suffix=suffix)
+    plot_outcomes(draft, stage, behind=behind, suffix=suffix)
+    plot_flags(draft, stage)
 
 
-def plot_joints(stream: rr.RecordingStream, stage: Stage, group: str, index: list[int], *, behind: bool, suffix: str) -> None:
+def plot_joints(draft: Draft, stage: Stage, group: str, index: list[int], *, behind: bool, suffix: str) -> None:
     """Log the angles of one group of joints, their limits, the path they were to follow, and their actions.
 
     Series of one joint have one name, so that the legend stays short and switches all of them.
@@ -39,21 +40,22 @@ def plot_joints(stream: rr.RecordingStream, stage: Stage, group: str, index: lis
     own = [cycle(JOINTS, i) for i in range(len(index))]
     colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
     angles = episode.qpos[:, stage.geometry.joints[index]]
-    lines(stream, stage.entity("joint", group, "executed"), stage.states, angles, names=names, colours=colours, width=width)
-    lines(stream, stage.entity("action", group), stage.starts, episode.action[:, index], names=names, colours=colours, width=1.0, held=True)
+    lines(draft, stage.entity("joint", group, "executed"), stage.states, angles, names=names, colours=colours, width=width)
+    lines(draft, stage.entity("action", group), stage.starts, episode.action[:, index], names=names, colours=colours, width=1.0, held=True)
     if not behind:
         ends, limits = clock(episode.time[[0, -1]]), stage.geometry.limits[index].ravel()  # low and high of each joint
         faint, twice = [pale(colour, 0.45) for colour in own for _ in "lh"], [name for name in names for _ in "lh"]
-        lines(stream, stage.entity("joint", group, "limits"), ends, np.tile(limits, (2, 1)), names=twice, colours=faint, width=0.6)
+        lines(draft, stage.entity("joint", group, "limits"), ends, np.tile(limits, (2, 1)), names=twice, colours=faint, width=0.6)
     if path is not None and spline is not None:
         light, (time, position) = [bright(colour, 0.4) for colour in own], spline
-        lines(stream, stage.entity("joint", group, "spline"), clock(time), position[:, index], names=names, colours=light, width=2.0)
-        marks = rr.SeriesPoints(colors=own, markers=["diamond"] * len(own), marker_sizes=[2.5] * len(own), names=names)
-        stream.log(stage.entity("joint", group, "knots"), marks, static=True)
-        stream.send_columns(stage.entity("joint", group, "knots"), [clock(path.knot_time)], _rows(path.knot_position[:, index]))
+        lines(draft, stage.entity("joint", group, "spline"), clock(time), position[:, index], names=names, colours=light, width=2.0)
+        knots, sizes = stage.entity("joint", group, "knots"), np.full(len(own), 2.5, dtype=np.float32)
+        diamonds = [rr.components.MarkerShape.Diamond] * len(own)
+        draft.log(knots, rr.SeriesPoints, colors=own, markers=diamonds, marker_sizes=sizes, names=names)
+        draft.columns(knots, clock(path.knot_time), rr.Scalars, len(index), scalars=path.knot_position[:, index].ravel())
 
 
-def plot_outcomes(stream: rr.RecordingStream, stage: Stage, *, behind: bool, suffix: str) -> None:
+def plot_outcomes(draft: Draft, stage: Stage, *, behind: bool, suffix: str) -> None:
     """Log reward and distance of each arm, with the radii that count."""
     episode, config = stage.episode, stage.episode.header.env["config"]
     names = [arm + suffix for arm in stage.arms]
@@ -62,17 +64,17 @@ def plot_outcomes(stream: rr.RecordingStream, stage: Stage, *, behind: bool, suf
     logarithm = np.log10(np.maximum(episode.distance, NEAREST))
     curves = {("reward",): episode.reward, ("distance",): episode.distance, ("log_distance", "palm"): logarithm}
     for place, values in curves.items():
-        lines(stream, stage.entity(*place), stage.outcomes, values, names=names, colours=colours, width=width)
+        lines(draft, stage.entity(*place), stage.outcomes, values, names=names, colours=colours, width=width)
     if behind:
         return
     ends = clock(episode.time[[0, -1]])
     for name, colour in (("boundary", FAIR), ("goal", GOOD)):
         radius = float(config[f"{name}_radius"])
         level, named = np.full((2, 1), np.log10(radius)), [f"{name} {radius:g} m"]
-        lines(stream, stage.entity("log_distance", name), ends, level, names=named, colours=[colour], width=1.0)
+        lines(draft, stage.entity("log_distance", name), ends, level, names=named, colours=[colour], width=1.0)
 
 
-def plot_flags(stream: rr.RecordingStream, stage: Stage) -> None:
+def plot_flags(draft: Draft, stage: Stage) -> None:
     """Log each flag as a lane that is coloured while the flag is up."""
     episode = stage.episode
     lanes: dict[str, tuple[Array, Colour]] = {"collision": (episode.collision, BAD), "instability": (episode.instability, BAD)}
@@ -84,14 +86,12 @@ def plot_flags(stream: rr.RecordingStream, stage: Stage) -> None:
         entity, word = stage.entity("flag", name), name.split("_")[0]
         up = np.concatenate([[False], flag, [False]])
         change = np.flatnonzero(np.diff(up, prepend=~up[:1]))
-        look = rr.StateConfiguration(values=[word, NOT], colors=[colour, EXECUTED], visible=[True, False])
-        stream.log(entity, look, static=True)
-        states = rr.StateChange.columns(state=[word if up[i] else NOT for i in change])
-        stream.send_columns(entity, [clock(time[change])], states)
+        draft.log(entity, rr.StateConfiguration, values=[word, NOT], colors=[colour, EXECUTED], visible=[True, False])
+        draft.columns(entity, clock(time[change]), rr.StateChange, state=[word if up[i] else NOT for i in change])
 
 
 def lines(
-    stream: rr.RecordingStream,
+    draft: Draft,
     entity: str,
     time: rr.TimeColumn,
     values: Array,
@@ -104,9 +104,5 @@ def lines(
     """Log the columns of `values` (n, s) as s series of one entity; `held` draws them as steps instead of straight lines."""
     mode = rr.components.InterpolationMode.StepAfter if held else rr.components.InterpolationMode.Linear
     widths = np.full(len(names), width, dtype=np.float32)
-    stream.log(entity, rr.SeriesLines(names=names, colors=colours, widths=widths, interpolation_mode=mode), static=True)
-    stream.send_columns(entity, [time], _rows(values))
-
-
-def _rows(values: Array) -> rr.ComponentColumnList:
-    return rr.Scalars.columns(scalars=values.ravel()).partition(np.full(len(values), values.shape[1]))
+    draft.log(entity, rr.SeriesLines, names=names, colors=colours, widths=widths, interpolation_mode=[mode])
+    draft.columns(entity, time, rr.Scalars, len(names), scalars=values.ravel())

@@ -9,6 +9,7 @@ import rerun as rr
 
 from coordlog.view import text
 from coordlog.view.camera import camera
+from coordlog.view.draft import Draft
 from coordlog.view.layout import layout
 from coordlog.view.plots import plot
 from coordlog.view.scene import draw
@@ -34,13 +35,15 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     view = camera(staged)
     stream = new_stream(" and ".join(show.name for show in shows))
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    draft = Draft()
     for stage in staged:
-        draw(stream, stage, view.eye)
-        plot(stream, stage, behind=stage is not staged[-1])
+        draw(draft, stage, view.eye)
+        plot(draft, stage, behind=stage is not staged[-1])
         about = text.about(stage.episode, file=stage.show.file)
         stream.log(stage.entity("about"), rr.TextDocument(about, media_type=MARKDOWN), static=True)
         if stage.episode.result.aborted:
             stream.log(stage.entity("banner"), rr.TextDocument(text.banner(stage.episode), media_type=MARKDOWN), static=True)
+    draft.send(stream)
     stream.send_blueprint(layout(staged, view))
     return stream
 

@@ -13,6 +13,7 @@ import rerun as rr
 
 from coordlog.episode import Array
 from coordlog.sim.geometry import Geom
+from coordlog.view.draft import Value
 from coordlog.view.palette import FLOOR, Colour
 
 TILE = 0.1
@@ -29,17 +30,13 @@ ARCHETYPES: dict[str, type[Any]] = {
 }
 
 
-def solids(kind: str, geoms: Sequence[Geom], colours: Sequence[Colour]) -> rr.AsComponents:
-    """Shapes of one kind without their poses."""
-    size = np.array([geom.size for geom in geoms])
-    look: dict[str, Any] = {"colors": colours, "fill_mode": "solid"}
-    if kind == "box":
-        return rr.Boxes3D(half_sizes=size, **look)
-    if kind == "capsule":
-        return rr.Capsules3D(lengths=2 * size[:, 1], radii=size[:, 0], **look)
-    if kind == "cylinder":
-        return rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], **look)
-    return rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]] if kind == "sphere" else size, **look)
+def solids(kind: str, geoms: Sequence[Geom], colours: Sequence[Colour]) -> dict[str, Value]:
+    """Shapes of one kind without their poses, as fields of its archetype."""
+    size = np.array([geom.size for geom in geoms], dtype=np.float32)
+    look: dict[str, Value] = {"colors": colours, "fill_mode": [rr.components.FillMode.Solid]}
+    if kind in ("capsule", "cylinder"):
+        return look | {"lengths": 2 * size[:, 1], "radii": size[:, 0]}
+    return look | {"half_sizes": size[:, [0, 0, 0]] if kind == "sphere" else size}
 
 
 def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) -> dict[str, Array]:
@@ -58,14 +55,14 @@ def axis(quaternion: Array) -> Array:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def floor(centre: Array) -> rr.Mesh3D:
-    """A chequered square around a point (2,): its tiles of 0.1 m give the scene its scale."""
+def floor(centre: Array) -> dict[str, Value]:
+    """A chequered square around a point (2,), as fields of a mesh: its tiles of 0.1 m give the scene its scale."""
     n = round(2 * FLOOR_HALF / TILE)
     tile = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2)
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     flat = (tile[:, None] + corners - n / 2) * TILE + np.round(centre / TILE) * TILE
     vertices = np.concatenate([flat, np.zeros((n * n, 4, 1))], axis=2).reshape(-1, 3)
-    triangles = (4 * np.arange(n * n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    triangles = (4 * np.arange(n * n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.uint32)
     colours = np.repeat(np.array(FLOOR, dtype=np.uint8)[tile.sum(axis=1) % 2], 4, axis=0)
     normals = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
-    return rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colours, vertex_normals=normals)
+    return {"vertex_positions": vertices, "triangle_indices": triangles, "vertex_colors": colours, "vertex_normals": normals}

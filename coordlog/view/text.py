@@ -38,26 +38,24 @@ def banner(episode: Episode) -> str:
 def about(episode: Episode, *, file: str = "") -> str:
     """Result, origin and lineage of one episode."""
     start, env, policy, lineage = (getattr(episode.header, name) for name in ("episode", "env", "policy", "lineage"))
-    lines = [f"### {title(episode)}", "", f"**{verdict(episode)}**", "", *_arms(episode), ""]
+    lines = [f"**{title(episode)}: {verdict(episode)}**", "", *_arms(episode), ""]
     facts = {
+        "made by": lineage["transform"],
         "policy": policy["name"] or policy["kind"],
-        "checkpoint": policy["checkpoint_sha256"][:12],
         "exploration noise": _pairs(policy["noise"]),
         "steps": f"{len(episode)} of {start['control_period'] * 1000:g} ms",
         "collisions": f"{int(episode.collision.sum())} steps, {len(episode.contacts)} contacts",
+        "from": ", ".join(parent[:12] for parent in lineage["parents"]),
+        "checkpoint": policy["checkpoint_sha256"][:12],
         "robot": start["robot"],
         "start pose": start["start"],
         "file": file,
         "run": start["run"],
         "coordlog, MuJoCo": f"{env['coordlog_version']}, {env['mujoco_version']} on {env['architecture']}",
-        "made by": lineage["transform"],
-        "from": ", ".join(parent[:12] for parent in lineage["parents"]),
     }
-    lines += [
-        f"| episode | {plain(start['id'])} |",
-        "|---|---|",
-        *(f"| {name} | {plain(value)} |" for name, value in facts.items() if value),
-    ]
+    facts = {name: value for name, value in facts.items() if value} | {"episode": start["id"]}
+    (first, told), *others = facts.items()
+    lines += [f"| {first} | {plain(told)} |", "|---|---|", *(f"| {name} | {plain(value)} |" for name, value in others)]
     if lineage["parameters"]:
         lines += ["", "### Parameters", "", *(f"- {plain(name)}: {plain(value)}" for name, value in lineage["parameters"].items())]
     return "\n".join(lines)

@@ -11,16 +11,13 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 import rerun_cli
-from rerun.experimental import ViewerClient
 
-from coordlog.errors import ConfigError, ViewerError
+from coordlog.errors import ViewerError
 
 HOST = "127.0.0.1"
 BINARY = Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
@@ -28,14 +25,11 @@ BINARY = Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win3
 SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
-FRAMES = 5
-"""Pictures asked for before one is taken: the viewer's own notices at its start fade over the first three it paints."""
-PATIENCE = 60.0
-"""A picture is taken after this long [s] even if something in it still moves."""
 NO_VULKAN = (
     "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install mesa-vulkan-drivers), "
     "or use --save FILE and open it on another machine"
 )
+TOO_SLOW = "the viewer runs but did not answer in time, as on a busy machine; try again, or use --save FILE and open it elsewhere"
 NO_DISPLAY = "no display: expected one named by DISPLAY or WAYLAND_DISPLAY; use --web, --screenshot FILE or --save FILE"
 
 
@@ -85,8 +79,10 @@ class Viewer:
             ViewerError: instead of the error of a client whose viewer had ended by itself.
         """
         try:
-            if isinstance(error, SILENT) and self._ends_within(2.0):
+            if isinstance(error, (*SILENT, TimeoutError)) and self._ends_within(2.0):
                 raise self.failure() from error
+            if isinstance(error, TimeoutError):
+                raise ViewerError(TOO_SLOW) from error
         finally:
             self.process.terminate()
             if not self._ends_within(5.0):
@@ -111,109 +107,6 @@ class Viewer:
         said = [line for line in log.splitlines() if line.strip()]
         what = said[-1].strip() if said else "it said nothing"
         return ViewerError(f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE and open it elsewhere")
-
-
-class Headless(Viewer):
-    """A viewer without a window, to take pictures with."""
-
-    def __init__(self, *, size: tuple[int, int] = (1600, 1000)) -> None:
-        """Prepare one of so many pixels, width and height."""
-        super().__init__("--headless", "--window-size", f"{size[0]}x{size[1]}")
-
-    def __enter__(self) -> Headless:
-        """Start it, and wait until it answers.
-
-        Raises:
-            ViewerError: if it does not.
-        """
-        super().__enter__()
-        try:
-            self._client = self._connect()
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
-        return self
-
-    def _connect(self) -> ViewerClient:
-        deadline = time.monotonic() + START_SECONDS
-        while self.process.poll() is None and time.monotonic() < deadline:
-            with suppress(*SILENT):  # it does not listen yet
-                client = ViewerClient.connect(self.url)
-                client.get_state()
-                return client
-            time.sleep(0.1)
-        if self.process.poll() is not None:
-            raise self.failure()
-        raise ViewerError(f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try again, or use --save FILE")
-
-    def open(self, *files: Path) -> None:
-        """Load a recording, after a blueprint for it if there is one, and stop its clock."""
-        self._client.open([str(file.resolve()) for file in files])
-        deadline = time.monotonic() + START_SECONDS
-        while self._client.get_state().loading and time.monotonic() < deadline:
-            time.sleep(0.05)
-        self._client.set_time(play_state="paused")
-
-    def seek(self, at: float | None) -> None:
-        """Put the cursor of the present timeline to a time [s] or an episode's number; None: to its end.
-
-        Raises:
-            ConfigError: if the recording has no such time.
-        """
-        state = self._client.get_state()
-        recording = next(each for each in state.recordings if each.store_id == state.active_recording)
-        timeline = next(each for each in recording.timelines if each.name == recording.current_timeline)
-        unit = 1e9 if timeline.time_type == "duration" else 1.0
-        first, last = (timeline.start or 0) / unit, (timeline.end or 0) / unit
-        at = last if at is None else at
-        if not first <= at <= last:
-            raise ConfigError(f"--at: expected {first:g} to {last:g} on the timeline '{timeline.name}', got {at:g}")
-        if timeline.time_type == "duration":
-            self._client.set_time(timeline.name, duration=at, play_state="paused")
-        else:
-            self._client.set_time(timeline.name, sequence=int(at), play_state="paused")
-
-    def picture(self, kind: str = "") -> bytes:
-        """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
-        views = self._client.get_state().views
-        place = next(view.view_id for view in views if view.view_class == kind) if kind else None
-        deadline, pictures = time.monotonic() + PATIENCE, [b"", bytes(self._client.take_screenshot(place))]
-        while (len(pictures) <= FRAMES or pictures[-1] != pictures[-2]) and time.monotonic() < deadline:
-            time.sleep(0.1)
-            pictures.append(bytes(self._client.take_screenshot(place)))
-        return pictures[-1]
-
-    def views(self) -> list[str]:
-        """Names of all views."""
-        return [view.name for view in self._client.get_state().views]
-
-    def complaints(self) -> list[str]:
-        """What views report that they could not show, and errors in the viewer's log."""
-        reports = [f"{view.name}: {report}" for view in self._client.get_state().views for report in view.reports]
-        return reports + [entry.message for entry in self._client.get_logs() if entry.level == "ERROR"]
-
-
-def screenshot(rrd: Path, png: Path, *, at: float | None = None, size: tuple[int, int] = (1600, 1000)) -> list[str]:
-    """Take a picture of a recording without a display.
-
-    Args:
-        rrd: The recording.
-        png: Where the picture goes.
-        at: Time [s], or the number of an episode in an overview; None for the end.
-        size: Width and height in pixels.
-
-    Returns:
-        What the viewer could not show, one sentence each; empty if all went well.
-
-    Raises:
-        ViewerError: if the viewer does not start, most often for want of Vulkan.
-        ConfigError: if the recording has no such time.
-    """
-    with Headless(size=size) as viewer:
-        viewer.open(rrd)
-        viewer.seek(at)
-        png.write_bytes(viewer.picture())
-        return viewer.complaints()
 
 
 def open_window(rrds: Sequence[Path], *, port: int = 0) -> None:

@@ -15,10 +15,10 @@ from PIL import Image
 
 from coordlog.record.dataset import open as open_logs
 from coordlog.record.reader import read_attachments, read_episode
+from coordlog.view.headless import Headless
 from coordlog.view.overview import to_overview
 from coordlog.view.recording import to_rerun
 from coordlog.view.show import Show
-from coordlog.view.viewer import Headless
 
 FOLDER = Path(__file__).parent
 SIZE = (1500, 940)

@@ -51,7 +51,7 @@ def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (("--scene", "tabel"), "unknown scene 'tabel'; choose one of: free, planar, shelf, spheres, table"),
+        (("--scene", "tabel"), "unknown scene 'tabel'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table"),
         (("--policy", "exprt"), "unknown policy 'exprt'; choose one of: a run folder or policy file, expert, pretrained, random, still"),
         (("--scene", "planar", "--policy", "pretrained"), "no policy ships for scene 'planar'; one does for: "),
         (("--split", "val"), "unknown split 'val'; choose one of: test, train"),

@@ -19,6 +19,7 @@ from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
 from coordlog.train.networks import Actor
 from coordlog.train.policy import Policy
+from coordlog.train.run import require_same
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
 SMALL = ["--set", "network.hidden=[32,32]", "--set", "replay.batch=32", "--eval-episodes", "4", "--envs", "4"]
@@ -106,8 +107,11 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     ("args", "said"),
     [
         (("--from", "nowhere"), "no such file or folder"),
+        (("--from", Path(__file__).parent), "found none"),
         (("--from", FIXTURES), "layouts"),
+        (("--from", FIXTURES / "table", "--scene", "planar"), "got (33, 13, 2); they are of another robot"),
         (("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"), "logs of several scenes (shelf, table)"),
+        (("--from", FIXTURES / "table", "--scene", "planar"), "scene 'planar': its robot is not that of the other logs"),
         (("--from", FIXTURES / "table", "--where", "cleen"), "--where: expected an SQL condition over"),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
@@ -124,7 +128,7 @@ def test_bad_input_is_refused_with_a_sentence(
         app(["train", *map(str, args), "--out", str(tmp_path / "run"), "--jobs", "1"], standalone_mode=False)
     assert said in str(refusal.value)
     assert refusal.value.exit_code == 2
-    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+    assert not (tmp_path / "run" / "run.json").exists(), "the folder is still free for the corrected command"
 
 
 def test_a_run_is_not_overwritten_and_not_resumed_as_another(cache: Path, logs: Path, tmp_path: Path) -> None:
@@ -133,6 +137,29 @@ def test_a_run_is_not_overwritten_and_not_resumed_as_another(cache: Path, logs: 
     coordlog(cache, "train", *small)
     assert "holds a run already" in coordlog(cache, "train", *small, wanted=2).stderr
     assert "its seed was 0 and is now 1" in coordlog(cache, "train", *small, "--seed", "1", "--resume", wanted=2).stderr
+    other = {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.2}}}
+    with pytest.raises(CoordlogError, match=r"its env\.config\.tilt was 1\.2 and is now 1\.5"):
+        require_same(other, {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.5}}}, folder=run)
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    cache: Path, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    run = tmp_path / "run"
+    small = ["train", "--from", str(logs), "--updates", "10", "--eval-every", "10", *SMALL, "--out", str(run)]
+    app(small, standalone_mode=False)
+    first = [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)]
+    episodes = sorted(run.rglob("*.mcap"))
+    for name in ("checkpoint", "policy", "best"):
+        (run / f"{name}.safetensors").unlink()
+    with pytest.raises(CoordlogError, match=r"behaviour\.weight was .* and is now 1\.0"):
+        app([*small, "--resume", "--set", "behaviour.weight=1.0"], standalone_mode=False)
+    app([*small, "--resume"], standalone_mode=False)
+    assert "begins again" in capsys.readouterr().err
+    assert [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)] == first
+    assert sorted(run.rglob("*.mcap")) == episodes
+    assert (run / "checkpoint.safetensors").exists()
 
 
 def test_a_broken_log_is_named_and_left_out_when_asked(cache: Path, logs: Path, tmp_path: Path) -> None:
@@ -141,4 +168,4 @@ def test_a_broken_log_is_named_and_left_out_when_asked(cache: Path, logs: Path, 
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:9000])
     small = ["--from", tmp_path, "--updates", "10", "--eval-every", "0", *SMALL]
     assert "cut.mcap" in coordlog(cache, "train", *small, "--out", tmp_path / "a", wanted=2).stderr
-    assert "cut.mcap" in coordlog(cache, "train", *small, "--skip-broken", "--out", tmp_path / "b").stderr
+    assert "cut.mcap" in coordlog(cache, "train", *small, "--skip-broken", "--out", tmp_path / "b", wanted=3).stderr

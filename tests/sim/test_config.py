@@ -23,7 +23,7 @@ def test_what_must_be_positive_is(name, value):
         ({"smoothing": -0.1}, "smoothing: expected"),
         ({"max_steps": 0}, "max_steps: expected at least 1, got 0"),
         ({"balance": "zmp"}, r"unknown balance criterion 'zmp'; choose one of: com, com\+zmp"),
-        ({"state_extras": ("torque",)}, "unknown state extra 'torque'; choose one of: com, difference, velocity"),
+        ({"state_extras": ("torque",)}, "unknown state extra 'torque'; choose one of: com, difference, nearness, velocity"),
     ],
 )
 def test_other_values_out_of_range_are_refused(values, message):

@@ -22,7 +22,7 @@ CURRENT = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class TestSpheres(EnvContract):
-    k, n_u, n_x = 2, 13, 45
+    k, n_u, n_x = 2, 13, 63
 
     def make(self, n):
         return BatchEnv(SCENES["spheres"], n=n, threads=1)

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from coordlog.errors import ConfigError, SimulationError
+from coordlog.errors import ConfigError, FormatError, SimulationError
 from coordlog.sim.config import EnvConfig, RewardConfig
+from coordlog.sim.env import BatchEnv
 from coordlog.sim.humanoid import HUMANOID
 from coordlog.sim.physics import compile_model
 from coordlog.sim.planar import PLANAR
@@ -88,3 +89,34 @@ def test_shared_joints_come_first_and_serve_every_arm():
     assert HUMANOID.action_joints[:5] == ("abs_y", "abs_x", "abs_z", "bust_y", "bust_x")
     assert len(HUMANOID.action_joints) == 13
     assert HUMANOID.served == {"left": [0, 1, 2, 3, 4, 5, 6, 7, 8], "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
+
+
+def start(**changes):
+    """The planar arm with some of its spec changed, put into its start pose."""
+    return BatchEnv(replace(find("planar"), robot=replace(PLANAR, **changes)))
+
+
+def test_a_model_that_is_no_xml_is_refused():
+    with pytest.raises(ConfigError, match="robot 'planar': expected its model as MJCF text: no element found"):
+        start(mjcf="<mujoco>")
+
+
+def test_an_action_joint_without_a_range_is_named():
+    with pytest.raises(ConfigError, match="robot 'planar': expected a range for joint 'base_1', which the action moves"):
+        start(mjcf=PLANAR.mjcf.replace('axis="0 0 1" range="-3.14159 3.14159"', 'axis="0 0 1"').replace(' inheritrange="1"', ""))
+
+
+def test_a_pose_of_an_unknown_joint_is_named():
+    with pytest.raises(ConfigError, match="robot 'planar': its pose 'stand' names a joint 'knee' that its model lacks"):
+        start(poses={"stand": {"knee": 1.0}})
+
+
+def test_a_pose_outside_a_range_is_named():
+    with pytest.raises(ConfigError, match="robot 'planar': its pose 'stand' has left_1 at 3 rad, outside its range -2 to 2"):
+        start(poses={"stand": {"left_1": 3.0}})
+
+
+def test_a_model_that_needs_files_is_refused_before_anything_is_recorded():
+    meshes = PLANAR.mjcf.replace("<worldbody>", '<asset><mesh name="hand" file="hand.stl"/></asset><worldbody>')
+    with pytest.raises(FormatError, match="has file= in <mesh>: expected a model that reads no other file"):
+        start(mjcf=meshes)

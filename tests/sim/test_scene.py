@@ -60,7 +60,9 @@ def missed(model, *, poses, rng):
 
 def test_a_scene_is_found_by_name_and_an_unknown_one_lists_the_choices():
     assert find("table") is SCENES["table"]
-    with pytest.raises(ConfigError, match="unknown scene 'desk'; choose one of: free, planar, shelf, spheres, table"):
+    with pytest.raises(
+        ConfigError, match=r"unknown scene 'desk'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table"
+    ):
         find("desk")
 
 
@@ -185,3 +187,18 @@ def test_a_geom_whose_contacts_could_not_be_told_from_a_soles_is_refused():
 def test_text_that_mujoco_refuses_is_said_with_its_reason():
     with pytest.raises(SimulationError, match="MuJoCo says: XML Error"):
         compile_model("<mujoco><worldbody><geom type='cube'/></worldbody></mujoco>")
+
+
+def test_an_object_without_a_place_is_refused():
+    with pytest.raises(ConfigError, match="scene 'free': an object needs both object_half and object_box, got one of them"):
+        replace(SCENES["free"], object_box=None)
+
+
+def test_an_object_between_three_arms_is_refused():
+    with pytest.raises(ConfigError, match="scene 'planar': an object needs two arms, the left one first, got 3"):
+        replace(SCENES["planar"], object_half=(0.1, 0.1, 0.1), object_box=((0, 1), (0, 1), (0, 1)))
+
+
+def test_spheres_without_a_place_are_refused():
+    with pytest.raises(ConfigError, match="scene 'free': spheres need a sphere_box"):
+        replace(SCENES["free"], spheres=2)

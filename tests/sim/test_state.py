@@ -11,9 +11,9 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.humanoid import HUMANOID
 from coordlog.sim.planar import PLANAR
 from coordlog.sim.scene import SCENES
-from coordlog.sim.state import StateView, state_view
+from coordlog.sim.state import NEAR, TIP, StateView, nearness, state_view
 
-ALL = EnvConfig(state_extras=("difference", "com", "velocity"))
+ALL = EnvConfig(state_extras=("difference", "com", "nearness", "velocity"))
 
 
 def view(robot=HUMANOID, *, spheres=0, config=None):
@@ -118,3 +118,44 @@ def test_the_order_of_extras_in_the_config_does_not_matter():
     one = view(config=EnvConfig(state_extras=("com", "difference")))
     other = view(config=replace(EnvConfig(), state_extras=("difference", "com")))
     assert one.names == other.names
+
+
+def test_nearness_points_from_the_nearest_point_of_a_link_and_grows_to_one_at_its_surface():
+    rng = np.random.default_rng(3)
+    links, palms = rng.uniform(-0.2, 0.2, (2, 200, 2, 3))
+    spheres = np.concatenate([rng.uniform(-0.4, 0.4, (200, 3, 3)), rng.uniform(0.02, 0.1, (200, 3, 1))], axis=2)
+    found = nearness(links, palms, spheres)
+    assert found.shape == (200, 3, 2, 3)
+    points = links[:, None] + np.linspace(0, TIP, 4001)[:, None, None] * (palms - links)[:, None]  # (n, 4001, k, 3)
+    for i in range(3):
+        gap = spheres[:, i, None, None, :3] - points
+        distance = np.linalg.norm(gap, axis=3)
+        nearest = distance.argmin(axis=1)[:, None]
+        least = np.take_along_axis(distance, nearest, axis=1)[:, 0]
+        length = np.linalg.norm(found[:, i], axis=2)
+        assert length == pytest.approx(np.clip(1 - (least - spheres[:, i, None, 3]) / NEAR, 0, None), abs=1e-5)
+        direction = np.take_along_axis(gap, nearest[..., None], axis=1)[:, 0] / least[..., None]
+        assert found[:, i] == pytest.approx(direction * length[..., None], abs=1e-2)
+    assert (length == 0).any()
+    assert (length > 1).any()
+
+
+def test_nearness_is_touch_in_the_simulation():
+    env, one = BatchEnv(SCENES["spheres"], EnvConfig(), n=1, threads=1), np.array([0])
+    drawn = env.problem(seed=7, split="train", index=0)
+    env.reset(one, [drawn])
+    place, size = env.task.view.places["nearness"], SCENES["spheres"].sphere_radius[0]
+    palm = env.task.view.physical(env.state, "palms")[0, :3]
+    for gap, touches in ((0.03, False), (-0.004, True)):  # in front of the left hand, whose radius is 18 mm
+        spheres = drawn.spheres.copy()
+        spheres[0] = [*np.add(palm, (0.018 + gap + size, 0.0, 0.0)), size]
+        env.reset(one, [replace(drawn, spheres=spheres)])
+        length = np.linalg.norm(env.state[0, place].reshape(3, 2, 3), axis=2)
+        outcome = env.step(np.zeros((1, 13), np.float32), one)
+        assert length[0, 0] == pytest.approx(1 - (0.018 + gap) / NEAR, abs=0.05)
+        assert bool(outcome.collision[0]) == touches
+
+
+def test_only_scenes_with_spheres_have_nearness():
+    assert "nearness" not in view(config=ALL).places
+    assert len(view(spheres=3).names[view(spheres=3).places["nearness"]]) == 3 * 2 * 3

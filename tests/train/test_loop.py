@@ -254,6 +254,8 @@ def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path:
         trainer(folder, settings(*BOTH), live=True)
     with pytest.raises(SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"):
         Trainer(replace(toy.task(), n_x=19), settings(*LOGS), folder=folder, logs=toy.logs(3))
+    with pytest.raises(ConfigError, match=r"device: expected cpu, .* got 'tpu0'"):
+        Trainer(toy.task(), settings(*LOGS), folder=folder, logs=toy.logs(3), device="tpu0")
     assert not folder.exists()
 
 

@@ -133,14 +133,16 @@ def test_a_view_of_uneven_places_is_an_error() -> None:
 
 
 def test_spheres_are_listed_in_an_order_of_chance_and_nothing_else_changes(rng: np.random.Generator) -> None:
-    state, following = rng.normal(size=(2, 600, 20)).astype(np.float32)
-    spheres = slice(5, 17)
-    following[:, spheres] = state[:, spheres]
+    state, following = rng.normal(size=(2, 600, 24)).astype(np.float32)
+    spheres, near = slice(5, 17), slice(18, 24)
+    following[:, spheres], following[:, near] = state[:, spheres], state[:, near]
     before = state.copy()
-    reorder(rng, spheres, state, following)
-    np.testing.assert_array_equal(state[:, spheres], following[:, spheres])
-    np.testing.assert_array_equal(np.delete(state, np.r_[spheres], axis=1), np.delete(before, np.r_[spheres], axis=1))
-    old, new = (rows[:, spheres].reshape(-1, 3, 4) for rows in (before, state))
+    reorder(rng, 3, (spheres, near), state, following)
+    for place in (spheres, near):
+        np.testing.assert_array_equal(state[:, place], following[:, place])
+    others = np.r_[spheres, near]
+    np.testing.assert_array_equal(np.delete(state, others, axis=1), np.delete(before, others, axis=1))
+    old, new = (np.concatenate([rows[:, place].reshape(600, 3, -1) for place in (spheres, near)], axis=2) for rows in (before, state))
     order = (new[:, :, None] == old[:, None]).all(axis=-1).argmax(axis=2)
     np.testing.assert_array_equal(np.take_along_axis(old, order[:, :, None], axis=1), new)
     assert len(np.unique(order, axis=0)) == 6

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from recordings import Recording, simulated_palms
 
 from coordlog.errors import ConfigError
-from coordlog.view.outcome import KINDS, kind
+from coordlog.view.outcome import KINDS, Outcome, by_urgency, kind, worth_a_look
 from coordlog.view.overview import WINDOW, running, to_overview
 
 
@@ -54,19 +54,31 @@ def test_paths_are_those_of_the_palms(folder, tmp_path):
 def test_table_text_and_histogram_count_every_episode(folder, tmp_path):
     recording = Recording(to_overview(iter(folder)), tmp_path / "a.rrd")
     files = [str(row[0]) for row in recording.column("/table", "file")]
-    assert files == [show.file for show in folder]
+    assert files == [show.file for show in reversed(folder)]
     ended = [str(row[0]) for row in recording.column("/table", "ended_as")]
-    assert ended == list(KINDS)
+    assert ended == list(reversed(KINDS))
     said = str(recording.column("/about", "TextDocument:text")[0][0])
     assert "5 episodes" in said
-    assert all(f"| {name} | 1 | 20.0% |" in said for name in KINDS)
-    assert "logs/fell.mcap" in said
+    assert all(f"**1 {name}** (20.0%)" in said for name in KINDS)
+    named = [line.split(" | ")[1:3] for line in said.splitlines() if line[:3] in {f"| {i}" for i in range(5)}]
+    assert named == [[name, name] for name in reversed(KINDS)]
     one = [str(row[0]) for row in recording.column("/episode", "TextDocument:text")]
     assert "coordlog view logs/not reached.mcap" in one[2]
     worst = [float(row[0]) for row in recording.column("/final", "Scalars:scalars")]
     assert_allclose(worst, 100 * folder[0].episode.distance[-1].max())
     rates = np.stack(recording.column("/rate", "Scalars:scalars"))
     assert_allclose(rates[-1], [0.2, 0.4, 0.2])
+
+
+def test_the_earliest_fall_and_the_farthest_miss_come_first(folder):
+    late, missed = Outcome.of(folder[3]), Outcome.of(folder[2])
+    early = replace(late, steps=late.steps // 2)
+    farther = replace(missed, final=missed.final + 0.1)
+    clean = [Outcome.of(folder[0])] * 20
+    assert by_urgency([*clean, missed, late, farther, early])[:5] == [23, 21, 22, 20, 0]
+    assert worth_a_look([*clean, missed, late, farther, early]) == [23, 21, 22, 20, *range(8)]
+    many = [*[missed] * 20, late, *clean]
+    assert worth_a_look(many) == [20, *range(6), *range(21, 26)]
 
 
 def test_robots_and_scenes_may_be_mixed_and_need_no_model(shows, tmp_path):

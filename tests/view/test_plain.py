@@ -11,8 +11,9 @@ from coordlog.errors import ViewerError
 from coordlog.record.writer import write_episode
 from coordlog.spec import ARM, JOINT_STATE_TOPIC, STEP
 from coordlog.view import viewer
+from coordlog.view.headless import Headless
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
-from coordlog.view.viewer import BINARY, Headless
+from coordlog.view.viewer import BINARY
 
 DOCS = Path(__file__).parents[2] / "docs" / "viewers"
 
@@ -58,8 +59,33 @@ def test_every_path_of_the_foxglove_layout_is_a_field_of_a_message(shows, scene)
         topic, field = path["value"].split(".")
         assert field in fields[topic], path["value"]
     assert sum(path["enabled"] for path in paths if JOINT_STATE_TOPIC in path["value"]) == len(header.env["action_joints"])
-    placed = json.dumps(layout["layout"])
-    assert all(panel in placed for panel in layout["configById"])
+
+
+def test_the_foxglove_layout_is_a_tree_of_its_panels():
+    layout = foxglove_layout(["left", "right"], ["a", "b"], ["a"])
+    assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+
+    def leaves(node):
+        if isinstance(node, str):
+            return [node]
+        assert set(node) == {"first", "second", "direction", "splitPercentage"}
+        assert node["direction"] in ("row", "column")
+        assert 0 < node["splitPercentage"] < 100
+        return leaves(node["first"]) + leaves(node["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(layout["configById"])
+    settings = {
+        "Plot": {"title", "paths", "showLegend", "legendDisplay", "xAxisVal", "isSynced"},
+        "StateTransitions": {"paths", "isSynced"},
+        "RawMessages": {"topicPath"},
+    }
+    for name, panel in layout["configById"].items():
+        assert set(panel) == settings[name.split("!")[0]]
+        for path in panel.get("paths", []):
+            assert (
+                {"value", "label", "enabled", "timestampMethod"} <= set(path) <= {"value", "label", "enabled", "timestampMethod", "color"}
+            )
+            assert path["timestampMethod"] in ("receiveTime", "headerStamp")
 
 
 def test_the_documentation_carries_what_the_generator_writes(shows):

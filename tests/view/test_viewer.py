@@ -16,9 +16,10 @@ from recordings import Recording
 
 from coordlog.errors import ConfigError, ViewerError
 from coordlog.view import palette, scene, viewer
+from coordlog.view.headless import Headless, screenshot
 from coordlog.view.overview import to_overview
 from coordlog.view.recording import to_rerun
-from coordlog.view.viewer import BINARY, Headless, claim, open_window, screenshot
+from coordlog.view.viewer import BINARY, claim, open_window
 from coordlog.view.web import web_viewer
 
 SIZE = (1000, 700)

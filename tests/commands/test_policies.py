@@ -1,0 +1,71 @@
+"""The policies that ship: found, small, without code in them, in the wheel, and acting in the environment they were trained in."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.builders.wheel import WheelBuilder
+from safetensors import safe_open
+
+from coordlog.commands.environment import make_env
+from coordlog.commands.policies import SHIPPED, make_policy, policy_file, pretrained
+from coordlog.errors import ConfigError, SpecError
+from coordlog.scoring import evaluate
+from coordlog.train.policy import Policy
+
+FILES = sorted(SHIPPED.glob("*.safetensors"))
+
+
+def test_there_are_some() -> None:
+    assert {"table", "shelf"} <= {path.stem for path in FILES}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_shipped_policy_is_small_and_has_a_card_that_is_its_own(path: Path) -> None:
+    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    assert path.stat().st_size == card["bytes"] <= 1_000_000
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == card["sha256"]
+    with safe_open(path, framework="numpy") as file:
+        assert file.metadata()["kind"] == "coordlog policy"
+    said = Policy.load(path).about
+    training = card["training"]
+    assert said["scene"] == card["scene"] == path.stem
+    assert training["command"].startswith("coordlog train ")
+    assert training["logs_sha256"] == said["data"]
+    assert (training["seed"], training["cost"]["updates"]) == (said["seed"], said["updates"])
+    assert training["cost"]["seconds"] > 0
+    assert training["versions"]["torch"]
+
+
+def test_the_wheel_carries_them(tmp_path: Path) -> None:
+    (wheel,) = WheelBuilder(str(Path(__file__).parents[2])).build(directory=str(tmp_path), versions=["standard"])
+    names = zipfile.ZipFile(wheel).namelist()
+    for path in FILES:
+        assert {f"coordlog/policies/{path.name}", f"coordlog/policies/{path.stem}.json"} <= set(names)
+    assert not [name for name in names if name.endswith((".pt", ".pth", ".pkl", ".zip")) or name.startswith(("results", "tests"))]
+
+
+def test_pretrained_means_the_scenes_own_and_says_so_in_the_log() -> None:
+    env = make_env("shelf", {}, start="stand", envs=2, threads=1)
+    policy, said = make_policy("pretrained", env)
+    assert said == {
+        "kind": "digrad",
+        "name": "pretrained/shelf",
+        "checkpoint_sha256": hashlib.sha256(pretrained("shelf").read_bytes()).hexdigest(),
+    }
+    assert all(score.clean for score in evaluate(env, policy, episodes=2, k=2, seed=1))
+
+
+def test_where_none_ships_the_choices_are_listed() -> None:
+    with pytest.raises(ConfigError, match=r"no policy ships for scene 'planar'; one does for: .*shelf, .*table"):
+        policy_file("pretrained", "planar")
+
+
+def test_a_policy_of_another_layout_is_refused() -> None:
+    env = make_env("table", {"env": {"state_extras": []}}, start="stand", envs=1, threads=1)
+    with pytest.raises(SpecError, match="its state is not that of scene 'table'"):
+        make_policy("pretrained", env)

@@ -1,0 +1,93 @@
+"""Planning beside the policy: the planner's rules, its time law, the kinematic rollout, and both executed from the same start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from coordlog.sim.env import BatchEnv
+from results import case as cases
+from results import ompl_plan, planner
+from results.actors import actor
+from results.evaluate import environment
+from results.measure import SEED, SPLIT
+from results.safe import executed, safe
+
+
+@pytest.fixture(scope="module")
+def env() -> BatchEnv:
+    return environment("table", "pretrained", radius=0.03, torso="free", envs=1, threads=1)
+
+
+def test_the_rules_are_those_of_the_scene(env: BatchEnv) -> None:
+    rng, where, reach = np.random.default_rng(0), cases.case(env, 0), env.draw.reach
+    rules = ompl_plan.Rules(env, where)
+    rules.keep(0.01)
+    low, high = env.task.limits.T
+    postures = [where.problem.angles + 0.6 * rng.normal(size=13) for _ in range(150)] + list(rng.uniform(low, high, (50, 13)))
+    answers = [rules.free(q) for q in postures]
+    assert answers == [reach.legal(q, clearance=0.01) for q in postures]
+    assert 20 < sum(answers) < 180
+
+
+def test_a_plan_starts_at_the_start_ends_at_the_goals_and_is_free(env: BatchEnv) -> None:
+    where = cases.case(env, 2)
+    planned = ompl_plan.plan(env, where)
+    assert planned.points is not None
+    assert set(planned.cpu) == {"ik", "rrt", "simplify"}
+    assert np.abs(planned.points[0] - where.problem.angles).max() < 1e-9
+    assert np.linalg.norm(env.draw.reach.palms(planned.points[-1]) - where.problem.goals, axis=1).max() < 0.004
+    rules = ompl_plan.Rules(env, where)
+    assert all(rules.free(q) for q in planned.points)
+
+
+def test_a_timed_path_keeps_the_speeds_and_rests_at_its_ends() -> None:
+    points, speeds = np.array([[0.0, 0.0], [1.0, 0.1], [1.0, 0.1], [1.5, -0.2]]), np.array([1.0, 0.3])
+    path = ompl_plan.Timed.of(points, speeds)
+    assert path.duration == pytest.approx(1.875 * (1.0 + 1.0))
+    time = np.linspace(0.0, path.duration, 4001)
+    speed = np.abs(np.diff(path(time), axis=0)) / np.diff(time)[:, None] / speeds
+    assert speed.max() == pytest.approx(1.0, abs=1e-3)
+    assert speed[[0, -1]].max() < 1e-3
+    assert path(0.0).tolist() == [0.0, 0.0]
+    assert path(99.0) == pytest.approx([1.5, -0.2])
+
+
+def test_a_kinematic_rollout_becomes_a_proven_path_that_arrives(env: BatchEnv) -> None:
+    where = cases.case(env, 0)
+    found = safe(env, where, actor("pretrained", env)[0], physics=False)
+    assert found.rollout.arrived
+    assert found.result.certified
+    base = found.rollout.qpos[:, :7]
+    assert (base == base[0]).all(), "the base stands still"
+    scored = cases.score(executed(where, env, found))
+    assert scored.clean
+    assert max(scored.arrival) == scored.length - 1
+
+
+def test_a_rollout_in_the_simulation_is_the_evaluations(env: BatchEnv) -> None:
+    from coordlog.rollout import rollout
+
+    policy = actor("pretrained", env)[0]
+    steps = sum(1 for _ in rollout(env, policy, [3], seed=SEED, split=SPLIT))
+    found = safe(env, cases.case(env, 3), policy, physics=True)
+    assert len(found.rollout.action) == steps
+
+
+def test_a_problem_without_a_path_is_a_failure_in_every_share() -> None:
+    tried = planner.Tried()
+    tried.add({"cpu": 1.0, "seconds": np.nan, "jerk": np.nan}, ran=None, nearest=np.inf, certified=False)
+    row = tried.row()
+    assert (row["success"]["count"], row["success"]["of"], row["found"]["count"]) == (0, 1, 0)
+    assert row["jerk"] is None
+    assert row["cpu"]["median"] == 1.0
+
+
+def test_ratios_are_taken_problem_by_problem_where_both_have_one() -> None:
+    ours, theirs = planner.Tried(), planner.Tried()
+    ours.numbers = {"cpu": [1.0, 1.0, 1.0], "jerk": [1.0, 2.0, 1.0], "seconds": [1.0, 1.0, 1.0]}
+    theirs.numbers = {"cpu": [2.0, 4.0, 8.0], "jerk": [10.0, 20.0, np.nan], "seconds": [2.0, 2.0, np.nan]}
+    found = planner.ratios(ours, theirs)
+    assert found["cpu"]["median"] == 0.25
+    assert (found["jerk"]["median"], found["jerk"]["n"]) == (10.0, 2)
+    assert found["jerk_same_duration"]["median"] == 80.0
