@@ -24,7 +24,7 @@ def command(run: dict[str, Any]) -> str:
     words += [f"--from logs/{scene}"] if mode != "live" else [f"--scene {scene}"]
     words += ["--live"] if mode == "both" else []
     words += [f"--where {json.dumps(run['where'])}"] if run["where"] else []
-    words += [f"--updates {loop['updates']}"] if loop["updates"] else []
+    words += [f"--updates {loop['updates']}"]
     words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
     named = {("loop", name) for name in ("updates", "steps", "seed")}
     for section, values in run["settings"].items():

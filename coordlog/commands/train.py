@@ -34,7 +34,7 @@ def train(
     preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
     config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", help="One setting, section.key=value; may be repeated.")] = None,
-    updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0 for as many as live steps earn.")] = None,
+    updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn.")] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps.")] = None,
     hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, 0 to 1.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
@@ -76,7 +76,9 @@ def train(
     }
     tables = read_toml(config) if config else {}
     around = {name: tables.pop(name) for name in TABLES if name in tables}
-    wanted = _settings(tables, preset=preset, given=given, assignments=settings or [])
+    # Live steps alone are a budget: without a word about updates, they are as many as the steps earn.
+    earned = ["loop.updates=0"] if steps and updates is None and "updates" not in tables.get("loop", {}) else []
+    wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *(settings or [])])
     logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:

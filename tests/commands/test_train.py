@@ -74,7 +74,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
     """Logs and live steps together: resumed half-way, the metrics are those of a run in one piece."""
     both = ["train", "--from", logs, "--live", *SMALL, "--set", "replay.warmup=64", "--set", "loop.metrics_every=20", "--eval-every", "0"]
     both += ["--set", "loop.updates_per_step=0.25", "--set", "loop.checkpoint_every=20"]
-    coordlog(cache, *both, "--updates", "0", "--steps", "800", "--out", tmp_path / "whole")
+    coordlog(cache, *both, "--steps", "800", "--out", tmp_path / "whole")  # without a word on updates: as many as the steps earn
     coordlog(cache, *both, "--updates", "0", "--steps", "416", "--out", tmp_path / "parts")
     coordlog(cache, *both, "--updates", "0", "--steps", "800", "--out", tmp_path / "parts", "--resume")
 
