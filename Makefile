@@ -23,7 +23,7 @@ demo: $(READY)  ## the whole path, from recording to pictures, in demo/
 	BIN=$(BIN) sh docs/demo.sh $(DEMO)
 
 test: $(READY)  ## all tests, under five minutes on two cores
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 check: lint test  ## format, lint, types, tests: what has to pass before a change lands
 

@@ -143,7 +143,7 @@ def test_check_finds_everything_sound(logs: Path) -> None:
     report = json.loads(run("check", logs, "--json").stdout)
     assert report["files"] == 6
     assert report["findings"] == []
-    assert report["steps"] > 300
+    assert report["steps"] > 200
 
 
 def test_check_names_a_foreign_file_in_a_folder_and_refuses_it_alone(logs: Path, tmp_path: Path) -> None:
