@@ -13,6 +13,9 @@ from results.measure import SEED
 from results.recipes import recipes
 
 PAGE = Path(__file__).parents[1] / "docs" / "results.md"
+README = PAGE.parents[1] / "README.md"
+MARKS = "<!-- results: the shipped policies -->", "<!-- end results -->"
+"""What stands between these lines of README.md is written anew, too."""
 TARGETS = {"free": 990, "spheres": 950, "table": 990, "shelf": 980}
 """Clean success at 3 cm that the best policy of a scene has to reach, in tenths of a per cent."""
 
@@ -69,6 +72,23 @@ def shipped(found: Tables) -> str:
             )
         )
     return "## Shipped policies\n\n`coordlog record --scene SCENE --policy pretrained --split test`\n\n" + "\n".join(lines) + "\n"
+
+
+def readme(text: str, found: Tables) -> str:
+    """README.md with its table of shipped policies written anew."""
+    lines = cells.head("500 held-out goals, trained", "success at 3 cm", "clean at 3 cm", "clean at 2 cm", "falls", "one decision")
+    for title, row in (("", "shipped"), (" behind `--shield`", "shielded")):
+        for scene in tables.SCENES:
+            of = tables.of_row(found, row, scene)
+            if not of:
+                continue
+            how = "live, from nothing" if of[0]["policy"]["training"]["mode"] == "live" else "from logs"
+            success, clean, small = (cells.good(of, *which) for which in (("3 cm", "success"), ("3 cm", "clean"), ("2 cm", "clean")))
+            falls, taken = cells.bad(of, "3 cm", "falls"), f"{of[0]['decision']['act']['median'] * 1e6:.0f} µs"
+            lines.append(cells.line(f"{scene}{title}, {how}", success, clean, small, falls, taken))
+    before, rest = text.split(MARKS[0])
+    after = rest.split(MARKS[1])[1]
+    return f"{before}{MARKS[0]}\n\n" + "\n".join(lines) + f"\n\n{MARKS[1]}{after}"
 
 
 COLUMNS = (
@@ -140,9 +160,11 @@ def _recipe(recipe: dict[str, str], commands: list[str], cost: list[str] | None 
 
 
 def main() -> None:
-    """Write the page."""
-    PAGE.write_text(render(tables.read_all()), encoding="utf-8")
-    print(PAGE)
+    """Write the page, and the table of the README."""
+    found = tables.read_all()
+    PAGE.write_text(render(found), encoding="utf-8")
+    README.write_text(readme(README.read_text(encoding="utf-8"), found), encoding="utf-8")
+    print(PAGE, README)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 from coordlog.commands.policies import SHIPPED
 from results import cells, claims, planning, tables
 from results.recipes import recipes, row_names
-from results.report import PAGE, render, scene_table, shipped
+from results.report import PAGE, README, readme, render, scene_table, shipped
 from results.stats import rate
 
 
@@ -46,6 +46,11 @@ def row_of(text: str, title: str) -> list[str]:
 
 def test_the_page_is_up_to_date(found: dict[str, Any]) -> None:
     assert PAGE.read_text(encoding="utf-8") == render(found), "python -m results.report writes it anew"
+
+
+def test_the_readme_is_up_to_date(found: dict[str, Any]) -> None:
+    text = README.read_text(encoding="utf-8")
+    assert text == readme(text, found), "python -m results.report writes it anew"
 
 
 def test_every_table_is_called_what_it_is_and_belongs_to_a_row(found: dict[str, Any]) -> None:
