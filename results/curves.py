@@ -22,6 +22,8 @@ FOLDER = Path(__file__).parent / "curves"
 LIVE = "digrad-live"
 WITHIN = 0.1
 """A score this close to its last value counts as saturated."""
+SETTLED = 0.75
+"""A score has settled if it has been so close for the last quarter of its run."""
 ABOUT = ("scene", "mode", "seed", "envs", "where", "data", "log_episodes", "settings", "versions", "git")
 
 
@@ -59,9 +61,14 @@ def kept(scene: str = "*", row: str = "*", *, folder: Path = FOLDER) -> list[Pat
 
 
 def saturated(scene: str, *, folder: Path = FOLDER) -> int | None:
-    """Live steps from which on the score of the slowest seed stays within WITHIN of its last; None without curves."""
-    steps = [_from(load_history(path).rows) for path in kept(scene, LIVE, folder=folder)]
-    return max(steps) if steps else None
+    """Live steps from which on the score of the slowest seed stays within WITHIN of its last.
+
+    None without curves, or where one of them was still on its way when the run ended (SETTLED).
+    """
+    curves = [load_history(path).rows for path in kept(scene, LIVE, folder=folder)]
+    steps = [_from(rows) for rows in curves]
+    settled = all(step <= SETTLED * int(rows[-1]["step"]) for step, rows in zip(steps, curves, strict=True))
+    return max(steps) if steps and settled else None
 
 
 def _from(rows: list[dict[str, Any]]) -> int:

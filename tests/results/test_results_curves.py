@@ -52,3 +52,5 @@ def test_saturation_is_that_of_the_slowest_seed(tmp_path: Path) -> None:
     for seed, scores in enumerate(([0.0, 3.0, 3.05, 3.02], [0.0, 1.0, 2.95, 3.0])):
         curves.keep("digrad-live", run_folder(tmp_path / f"run{seed}", scores=scores, seed=seed), folder=tmp_path / "kept")
     assert curves.saturated("free", folder=tmp_path / "kept") == 3000
+    curves.keep("digrad-live", run_folder(tmp_path / "rising", scores=[0.0, 1.0, 2.0, 3.0], seed=2), folder=tmp_path / "kept")
+    assert curves.saturated("free", folder=tmp_path / "kept") is None, "still on its way"
