@@ -112,13 +112,13 @@ class ReplayBuffer:
         left = self._last_step(rows) - self._rows["step"].take(rows)
         return self._after(rows[:, None], np.minimum(np.arange(n), left[:, None])), np.arange(n) <= left[:, None]
 
-    def take(self, name: str, rows: Array) -> Array:
+    def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
         """A column at some rows of any shape."""
-        return np.asarray(self._rows[name].take(rows, axis=0))
+        return np.asarray(self._rows[name].take(rows, axis=0, out=out, mode="clip"))
 
-    def next_state(self, rows: Array) -> Array:
+    def next_state(self, rows: Array, out: Array | None = None) -> Array:
         """The states that the steps of some rows (n,) led to, (n, n_x)."""
-        return self.take("next_state", rows)
+        return self.take("next_state", rows, out)
 
     def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
         """As `Store.later`."""

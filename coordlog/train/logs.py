@@ -105,17 +105,19 @@ class LogReplay:
 
     def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
         """Rows of the n steps from each row on, and which of them are of its episode; the others repeat the last that is."""
+        if n == 1:
+            return rows[:, None], np.ones((len(rows), 1), np.bool_)
         wanted = rows[:, None] + np.arange(n)
         last = self._last.take(self._episode.take(rows))[:, None]
         return np.minimum(wanted, last), wanted <= last
 
-    def take(self, name: str, rows: Array) -> Array:
+    def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
         """A column at some rows of any shape."""
-        return np.asarray(self._columns[name].take(rows, axis=0))
+        return np.asarray(self._columns[name].take(rows, axis=0, out=out, mode="clip"))
 
-    def next_state(self, rows: Array) -> Array:
+    def next_state(self, rows: Array, out: Array | None = None) -> Array:
         """The states that the steps of some rows (n,) led to, (n, n_x)."""
-        states = np.asarray(self._columns["state"].take(rows + 1, axis=0, mode="clip"))
+        states = np.asarray(self._columns["state"].take(rows + 1, axis=0, out=out, mode="clip"))
         episode = self._episode.take(rows)
         ends = np.flatnonzero(rows == self._last.take(episode))
         states[ends] = self._final[episode[ends]]

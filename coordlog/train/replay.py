@@ -54,11 +54,11 @@ class Store(Protocol):
         """Row numbers, uniform with replacement, (size,) int64."""
         ...
 
-    def take(self, name: str, rows: Array) -> Array:
+    def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
         """A column ("state", "action", "reward", "collision", "instability", "terminated") at some rows of any shape."""
         ...
 
-    def next_state(self, rows: Array) -> Array:
+    def next_state(self, rows: Array, out: Array | None = None) -> Array:
         """The states that the steps of some rows (n,) led to, (n, n_x)."""
         ...
 
@@ -79,7 +79,8 @@ def transitions(store: Store, rows: Array, out: Arrays, *, n: int, gamma: float)
     """Write transitions over n steps as they were; `imitated` and `wanted` are left alone."""
     index, within = store.ahead(rows, n)
     found = n_step(store.take("reward", index), store.take("terminated", index), within, gamma=gamma)
-    out.state[:], out.action[:] = store.take("state", rows), store.take("action", rows)
+    store.take("state", rows, out.state)
+    store.take("action", rows, out.action)
     _lead(store, index, found, out)
 
 
@@ -103,7 +104,8 @@ def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, *, n: int
     mishaps = {name: store.take(name, every) for name in ("collision", "instability")}
     result = outcome(view, reward, palms=palms, goals=np.repeat(goals, n, axis=0), **mishaps)
     found = n_step(result.reward.reshape(*index.shape, -1), result.terminated.reshape(index.shape), within, gamma=gamma)
-    out.state[:], out.action[:] = store.take("state", rows), store.take("action", rows)
+    store.take("state", rows, out.state)
+    store.take("action", rows, out.action)
     _lead(store, index, found, out)
     set_goals(view, out.state, goals)
     set_goals(view, out.next_state, goals)
@@ -120,7 +122,7 @@ def moved(motion: Motion, state: Array, reached: Array, steps: Array) -> Array:
 
 def _lead(store: Store, index: Array, found: Return, out: Arrays) -> None:
     out.reward[:], out.discount[:, 0] = found.reward, found.discount
-    out.next_state[:] = store.next_state(index[np.arange(len(index)), found.last])
+    store.next_state(index[np.arange(len(index)), found.last] if index.shape[1] > 1 else index[:, 0], out.next_state)
 
 
 class MixedReplay:

@@ -30,6 +30,8 @@ def n_step(reward: Array, terminated: Array, within: Array, *, gamma: float) -> 
 
     Source: Sutton 1988; with replay and without correction as in Hessel et al. 2018 (Rainbow) and Barth-Maron et al. 2018 (D4PG).
     """
+    if reward.shape[1] == 1:  # the common case, without the bookkeeping
+        return Return(reward[:, 0], np.zeros(len(reward), np.intp), np.where(terminated[:, 0], 0.0, gamma))
     counts = within.copy()
     counts[:, 1:] &= ~np.logical_or.accumulate(terminated[:, :-1], axis=1)
     weight = counts * gamma ** np.arange(reward.shape[1])
