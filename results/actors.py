@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GOAL_PARTS, STATE_BOUND
 
 FOREIGN = ".zip"
+PEERS = Path(__file__).parents[1] / "bench"
 ABOUT = ("scene", "mode", "seed", "updates", "steps", "log_episodes", "data")
 """What a table keeps of what a policy file says of its training."""
 
@@ -53,6 +55,7 @@ def actor(name: str, env: BatchEnv) -> tuple[Policy, Json]:
         from stable_baselines3 import TD3
         from stable_baselines3.common.buffers import DictReplayBuffer
 
+        sys.path.insert(0, str(PEERS))  # a model names the classes it was trained with
         # The buffer for hindsight wants an environment of its own; to act, none is needed.
         small = {"replay_buffer_class": DictReplayBuffer, "replay_buffer_kwargs": {}, "buffer_size": 1}
         model = TD3.load(name, device="cpu", custom_objects=small)
