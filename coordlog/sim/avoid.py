@@ -44,6 +44,20 @@ def slide(reach: Reach, angles: Array, move: Array, *, spheres: Array, effort: A
     return move
 
 
+def turned(reach: Reach, angles: Array, action: Array, *, spheres: Array, step: Array) -> Array:
+    """An action whose motion slides past near spheres, no entry beyond ±1, (n_u,).
+
+    Args:
+        reach: Kinematics.
+        angles: Joint angles, (n_u,) [rad].
+        action: What is wanted, (n_u,).
+        spheres: Rows of x, y, z, radius [m].
+        step: How far action 1 moves each joint in one step, (n_u,) [rad]; 0 for one that is locked, which then gives no way either.
+    """
+    found = slide(reach, angles, action * step, spheres=spheres, effort=step) / np.where(step > 0, step, 1.0)
+    return np.asarray(found / max(1.0, np.abs(found).max()))
+
+
 def _constraints(reach: Reach, angles: Array, spheres: Array) -> tuple[list[Array], list[float]]:
     """For each near pair of last link and sphere: how a joint's motion closes the distance, (n_u,) [m/rad], and by how much it may [m]."""
     rows, allowed = [], []

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import slide
+from coordlog.sim.avoid import turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -103,8 +103,7 @@ class Expert:
         action = wanted / max(1.0, np.abs(wanted).max())
         if not len(spheres):
             return np.asarray(action)
-        moved = slide(self._reach, angles, action * self._step, spheres=spheres, effort=self._step) / self._step
-        return np.asarray(moved / max(1.0, np.abs(moved).max()))
+        return turned(self._reach, angles, action, spheres=spheres, step=self._step * self._moves)
 
     def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
         """Error of the joints that move to the present way point [rad]; passes way points and corrects the last one."""

@@ -10,6 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from coordlog.episode import Array
 from coordlog.errors import ConfigError
 
 
@@ -70,6 +73,11 @@ class Robot:
         """Action entries that move each arm: the shared ones and its own. DiGrad's mask follows from this."""
         index = {name: i for i, name in enumerate(self.action_joints)}
         return {arm.name: [index[name] for name in self.shared + arm.joints] for arm in self.arms}
+
+    def speeds(self, *, private: float, shared: float) -> Array:
+        """Speed of every action joint at action 1, (n_u,) [rad/s]: a robot that stands on feet moves its shared joints slower."""
+        slow = [name in self.shared and bool(self.soles) for name in self.action_joints]
+        return np.asarray(np.where(slow, shared, private))
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the model text, JSON-able; `from_json` is its inverse."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import slide
+from coordlog.sim.avoid import turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -31,9 +31,7 @@ class Shielded:
     def act(self, ids: Array, state: Array) -> Array:
         """What the policy wants, as far as spheres let it, (n, n_u) float32."""
         view = self._task.view
-        wanted = self._policy.act(ids, state) * self._step
+        wanted = self._policy.act(ids, state)
         angles, spheres = view.physical(state, "angles"), view.physical(state, "spheres").reshape(len(state), -1, 4)
         rows = zip(angles, wanted, spheres, strict=True)
-        moves = [slide(self._reach, q, move, spheres=around, effort=self._step) for q, move, around in rows]
-        action = np.stack(moves) / np.maximum(self._step, 1e-12)  # a locked joint has no step
-        return np.asarray(action / np.maximum(1.0, np.abs(action).max(axis=1, keepdims=True)), dtype=np.float32)
+        return np.array([turned(self._reach, q, a, spheres=around, step=self._step) for q, a, around in rows], dtype=np.float32)

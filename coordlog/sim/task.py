@@ -50,12 +50,11 @@ class Task:
         for name, (low, high) in zip(robot.action_joints, self.limits, strict=True):
             if not low < high:
                 raise ConfigError(f"robot '{robot.name}': expected a range for joint '{name}', which the action moves; its model has none")
-        shared = [name in robot.shared and bool(robot.soles) for name in robot.action_joints]
         for name in config.locked:
             if name not in robot.action_joints:
                 raise unknown("locked joint", name, robot.action_joints)
         self.locked: Array = np.isin(robot.action_joints, config.locked)  # (n_u,) bool
-        self.speeds: Array = np.where(shared, config.shared_speed, config.speed) * ~self.locked  # (n_u,) rad/s at action 1
+        self.speeds: Array = robot.speeds(private=config.speed, shared=config.shared_speed) * ~self.locked  # (n_u,) rad/s at action 1
         self.view = state_view(robot, self.limits, spheres=self.n_spheres, config=config)
         if "nearness" in self.view.places:
             self._links = self._sensors([link_sensor(arm.name) for arm in robot.arms])

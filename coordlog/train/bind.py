@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
 from coordlog.sim.reward import Flags, rewards
+from coordlog.sim.robot import Robot
 from coordlog.sim.state import StateView
 from coordlog.train.relabel import GoalView, RewardFunction
 from coordlog.train.task import Motion, Task
@@ -62,10 +61,9 @@ def goal_view(env: Json) -> GoalView:
 
 def motion(env: Json) -> Motion:
     """How far an action moves the joints in one step of a `coordlog.env` record."""
-    view, config, robot = StateView.from_json(env), from_mapping(EnvConfig, env["config"]), env["robot"]
+    view, config = StateView.from_json(env), from_mapping(EnvConfig, env["config"])
     angles = view.places["angles"]
-    shared = np.isin(env["action_joints"], robot["shared"]) & bool(robot["soles"])
-    speeds = np.where(shared, config.shared_speed, config.speed)
+    speeds = Robot.from_json(env["robot"]).speeds(private=config.speed, shared=config.shared_speed)
     return Motion(angles, speeds * config.control_period / view.scale[angles])
 
 
