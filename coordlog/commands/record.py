@@ -11,7 +11,7 @@ import typer
 from coordlog.commands import terminal
 from coordlog.commands.environment import make_env, read_toml, scene_of
 from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
+from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
     from coordlog.record.recorder import Finished, Recorder
@@ -23,12 +23,16 @@ def record(
         str, typer.Option(help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table.")
     ] = "",
     policy: Annotated[str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")] = "expert",
-    episodes: Annotated[int, typer.Option(min=1, help="How many.")] = 10,
+    episodes: Annotated[int | None, typer.Option(min=1, help="How many; by default 10, or one per branch.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
     noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
     noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
     shield: Annotated[bool, typer.Option("--shield", help="Slow the forearms down towards near spheres; logged.")] = False,
+    branch: Annotated[
+        list[Path] | None, typer.Option(help="Folders of logs; each episode begins in one of those, just before it went wrong.")
+    ] = None,
+    where: Annotated[str, typer.Option(help='Which of them, in SQL: "not clean".')] = "",
     start: Annotated[str, typer.Option(help="Start pose of the robot.")] = "stand",
     out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path("logs"),
     envs: Annotated[int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")] = 16,
@@ -51,19 +55,30 @@ def record(
         coordlog record --scene shelf --policy pretrained --split test
 
         coordlog record --policy runs/table/best --split test --episodes 200 --out logs/evaluation
+
+        coordlog record --branch logs/visited --where "not clean" --out logs/corrected
     """
+    from coordlog.commands.branches import Branched, Parents
     from coordlog.record.recorder import Recorder
     from coordlog.rollout import rollout
     from coordlog.scoring import Scoreboard
     from coordlog.scripted import with_noise, with_shield
     from coordlog.sim.scene import find
 
-    asked = scene_of(scene) if scene else None
+    if where and not branch:
+        raise ConfigError("--where: chooses among the logs of --branch, of which there are none; name their folders")
+    parents = Parents(branch, where=where) if branch else None
+    episodes = episodes or (len(parents) if parents else 10)
+    asked = scene_of(scene) if scene else find(parents.scene) if parents else None
+    if parents and asked and asked.name != parents.scene:
+        raise ConfigError(f"--scene: expected the scene of the logs to branch from, '{parents.scene}', got '{asked.name}'; leave it out")
     file = policy_file(policy, asked.name if asked else DEFAULT_SCENE)
     trained = about(file) if file else {}
     place = asked or find(trained.get("scene", DEFAULT_SCENE))
     tables = read_toml(config) if config else {}
-    env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=trained.get("env"))
+    like = parents.env if parents else trained.get("env")
+    start = parents.start if parents else start
+    env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=like)
     chosen, described = make_policy(policy, env)
     if shield:
         chosen, described["shield"] = with_shield(chosen, env), "velocity damper"
@@ -74,7 +89,8 @@ def record(
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {place.name}", total=episodes, note="")
         with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
-            for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
+            begun = Branched(recorder, parents) if parents else recorder
+            for ids, outcome in rollout(begun, actor, range(episodes), seed=seed, split=split):
                 board.add(ids, outcome)
                 steps += len(ids)
                 bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")

@@ -29,6 +29,8 @@ from coordlog.spec import FINAL, SCHEMA_VERSION, STEP
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
 LED_TO = ("reward", "distance", "boundary", "goal", "collision", "instability", "terminated", "truncated")
+BRANCH = "branch"
+"""The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512
 """Blocks that may wait for the writing thread; then the physics waits, so memory stays flat."""
 
@@ -243,7 +245,9 @@ class Recorder:
 
     def _header(self, problem: Problem) -> Header:
         env, start = self._env, time.time_ns() if self._epoch is None else self._epoch
-        name = f"{env.scene.name}/{problem.split}/{problem.seed}/{problem.index}"
+        name, branch = f"{env.scene.name}/{problem.split}/{problem.seed}/{problem.index}", problem.branch
+        if branch is not None:
+            name += f"/{branch.parent}/{len(branch.actions)}"
         episode = {
             "schema_version": SCHEMA_VERSION,
             "id": hashlib.sha256(f"{self.run}/{name}".encode()).hexdigest()[:16],
@@ -259,7 +263,10 @@ class Recorder:
             "goals": problem.goals.tolist(),
             "obstacles": problem.spheres.tolist(),
         }
-        return Header(episode, self._describe, self._policy)
+        if branch is None:
+            return Header(episode, self._describe, self._policy)
+        lineage = {"parents": [branch.parent], "transform": BRANCH, "parameters": {"step": len(branch.actions)}}
+        return Header(episode, self._describe, self._policy, lineage)
 
     def _open(self, header: Header, attachments: dict[str, bytes]) -> EpisodeWriter | None:
         """A writer under the first free name: what another run has written is never in the way and never replaced.

@@ -27,6 +27,16 @@ whole range most postures are only reached by way of others."""
 
 
 @dataclass(frozen=True, eq=False)
+class Branch:
+    """Where another episode is left: its first actions lead there, and an episode of its own begins."""
+
+    parent: str
+    """What it is left of, by its digest."""
+    actions: Array  # (t, n_u) float32
+    state: Array  # (n_x,) float32, where they lead
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """One drawn episode: goals, obstacles and start angles."""
 
@@ -37,6 +47,8 @@ class Problem:
     centre: Array | None  # (3,) of the object, m
     spheres: Array  # (n_spheres, 4): x, y, z, radius, m
     angles: Array  # (n_u,) start angles of the action joints, rad
+    branch: Branch | None = None
+    """Where the episode begins, if not at its own beginning."""
 
 
 class Draw:

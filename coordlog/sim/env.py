@@ -11,10 +11,10 @@ import numpy as np
 import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
-from coordlog.errors import ConfigError, unknown
+from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.sim.attached import self_contained
 from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
-from coordlog.sim.draw import Draw, Problem
+from coordlog.sim.draw import Branch, Draw, Problem
 from coordlog.sim.physics import STATE, Physics, compile_model
 from coordlog.sim.robot import Robot
 from coordlog.sim.scene import Scene, compose
@@ -25,6 +25,8 @@ from coordlog.version import __version__
 
 SETTLE_SECONDS = 4.0
 """The start pose is simulated this long, so that an episode starts at rest."""
+SAME = 0.01
+"""How far a branch may begin from where it was left, in entries of the state: nothing on the machine that recorded it."""
 
 
 class BatchEnv:
@@ -90,7 +92,11 @@ class BatchEnv:
         return self.draw.problem(seed=seed, split=split, index=index)
 
     def reset(self, ids: Array, problems: Sequence[Problem]) -> None:
-        """Start an episode in each of the simulations `ids`."""
+        """Start an episode in each of the simulations `ids`.
+
+        Raises:
+            SimulationError: if the actions of a branch do not lead to where they did.
+        """
         physics, task = self.physics, self.task
         physics.rows[ids] = self._rest
         for sim, problem in zip(ids, problems, strict=True):
@@ -105,6 +111,23 @@ class BatchEnv:
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
         self.simulation.begin(ids, radii)
+        branched = [(int(sim), problem.branch) for sim, problem in zip(ids, problems, strict=True) if problem.branch is not None]
+        for sim, branch in branched:
+            self._follow(sim, branch)
+
+    def _follow(self, sim: int, branch: Branch) -> None:
+        """Do what led to a branch, and begin there."""
+        at = np.array([sim])
+        for action in branch.actions:
+            self.simulation.step(action[None], at)
+        away = float(np.abs(self.simulation.state[sim] - branch.state).max())
+        if not away <= SAME:
+            raise SimulationError(
+                f"episode {branch.parent[:12]}: its first {len(branch.actions)} actions do not lead here to where they led when it was "
+                f"recorded (the state differs by {away:.2g}): expected the same environment and the same MuJoCo"
+            )
+        self.physics.rows[sim, 0] = 0.0  # time
+        self.simulation.begin(at, self.simulation.radii[at])
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance simulations `ids` by one control period; actions (len(ids), n_u) float32 in [-1, 1]."""

@@ -128,12 +128,17 @@ class Expert:
         return error
 
     def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None, spheres: Array) -> list[Array]:
-        """The first way that keeps its distance from everything; the known ways first, then random changes to them."""
+        """The first way that keeps its distance from everything; the known ways first, then random changes to them.
+
+        Past spheres it slides, and does so straight to the goals if that is a way: it takes less than half the steps, and where to go then
+        follows from where everything is, not from which way was taken before, so that it can be learnt.
+        """
         ends = self._ends(goals, rng, held)
         ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
         known = [[*vias, end] for end in ends for vias in ways]
         if len(spheres):
-            found = next((way for way in known if self._slides(start, way, goals, spheres)), None)
+            direct = [[end] for end in ends]
+            found = next((way for way in direct + known if self._slides(start, way, goals, spheres)), None)
             if found is not None:
                 return found
         for clearance in CLEARANCES:
