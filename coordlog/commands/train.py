@@ -36,7 +36,7 @@ def train(
     settings: Annotated[list[str] | None, typer.Option("--set", help="One setting, section.key=value; may be repeated.")] = None,
     updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn.")] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps.")] = None,
-    hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, 0 to 1.")] = None,
+    hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     envs: Annotated[int, typer.Option(min=1, help="Live simulations at once.")] = 32,
     eval_every: Annotated[int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")] = None,
@@ -73,6 +73,7 @@ def train(
         "loop.steps": steps,
         "loop.evaluate_every": eval_every,
         "replay.hindsight": hindsight,
+        "replay.log_hindsight": hindsight,
     }
     tables = read_toml(config) if config else {}
     around = {name: tables.pop(name) for name in TABLES if name in tables}

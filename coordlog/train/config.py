@@ -166,7 +166,10 @@ class ReplayConfig:
     log_fraction: float = 0.5
     """Share of each batch that comes from logs when there are logs and live transitions."""
     hindsight: float = 0.8
-    """Share of each batch whose goals are replaced by palms reached later in the same episode."""
+    """Share of each batch's live transitions whose goals are replaced by palms reached later in the same episode."""
+    log_hindsight: float = 0.0
+    """The same share of transitions from logs. An expert's logs need none: whoever imitates steady motions to where it soon was, and not
+    what it did, goes straight where it went around something."""
     horizon: int = 20
     """Goals in hindsight are reached at most this many steps later; 0 for any later step of the episode."""
     imitation: float = 1.0
@@ -184,7 +187,7 @@ class ReplayConfig:
         require(self.horizon >= 0, "replay.horizon", "a number ≥ 0", self.horizon)
         require(self.imitation >= 0, "replay.imitation", "a number ≥ 0", self.imitation)
         require(self.n_step >= 1, "replay.n_step", "at least 1", self.n_step)
-        for name in ("log_fraction", "hindsight"):
+        for name in ("log_fraction", "hindsight", "log_hindsight"):
             require(0 <= getattr(self, name) <= 1, f"replay.{name}", "a fraction in [0, 1]", getattr(self, name))
 
 

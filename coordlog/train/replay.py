@@ -158,8 +158,9 @@ class MixedReplay:
             raise ConfigError(
                 f"replay: logs have widths (n_x, n_u, k) = {stores[0].widths}, live steps {stores[1].widths}; train them apart"
             )
-        if config.hindsight > 0 and task.view is None:
-            raise ConfigError("replay.hindsight: expected to know where goals stand in the state; set it to 0 for this task")
+        for name, store in (("hindsight", live), ("log_hindsight", logs)):
+            if store is not None and getattr(config, name) > 0 and task.view is None:
+                raise ConfigError(f"replay.{name}: expected to know where goals stand in the state; set it to 0 for this task")
         self._config, self._task, self._gamma = config, task, gamma
         self._logs, self._live, self._device, self._widths = logs, live, torch.device(device), stores[0].widths
 
@@ -168,9 +169,10 @@ class MixedReplay:
         size, logged = self._config.batch, self._logged()
         out = Arrays.empty(size, self._widths)
         if self._logs is not None and logged > 0:
-            self._fill(rng, self._logs, out.rows(slice(0, logged)), imitation=(1.0, 1.0))
+            self._fill(rng, self._logs, out.rows(slice(0, logged)), share=self._config.log_hindsight, imitation=(1.0, 1.0))
         if self._live is not None and logged < size:
-            self._fill(rng, self._live, out.rows(slice(logged, size)), imitation=(self._config.imitation, 0.0))
+            live = out.rows(slice(logged, size))
+            self._fill(rng, self._live, live, share=self._config.hindsight, imitation=(self._config.imitation, 0.0))
         if self._config.reorder and self._task.spheres:
             reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
@@ -183,11 +185,13 @@ class MixedReplay:
             return self._config.batch
         return round(self._config.log_fraction * self._config.batch)
 
-    def _fill(self, rng: np.random.Generator, store: Store, out: Arrays, *, imitation: tuple[float, float]) -> None:
-        """A part of a batch; `imitation` weighs the behaviour term in hindsight and as it was, where nothing went wrong soon after."""
+    def _fill(self, rng: np.random.Generator, store: Store, out: Arrays, *, share: float, imitation: tuple[float, float]) -> None:
+        """A part of a batch, a share of it in hindsight; `imitation` weighs the behaviour term in hindsight and as it was, where nothing
+        went wrong soon after.
+        """  # noqa: D205 - one sentence
         config = self._config
         rows = store.draw(rng, len(out.state))
-        count = round(config.hindsight * len(rows))
+        count = round(share * len(rows))
         if count > 0:
             view = self._task.view
             assert view is not None

@@ -307,21 +307,22 @@ def test_all_of_a_batch_comes_from_whichever_there_is(rng: np.random.Generator) 
 
 def test_batches_follow_from_the_generator_alone() -> None:
     logs, live = stores()
-    replay = MixedReplay(config(hindsight=0.5), toy.task(), gamma=GAMMA, logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.5, log_hindsight=0.5), toy.task(), gamma=GAMMA, logs=logs, live=live)
     one, other = (replay.sample(np.random.default_rng(5)) for _ in range(2))
     assert all((a == b).all() for a, b in zip(one, other, strict=True))
 
 
-def test_hindsight_asks_a_share_of_each_batch_for_what_was_reached(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("logged", [0.25, 0.0, 0.5])
+def test_hindsight_asks_a_share_of_each_part_of_a_batch_for_what_was_reached(logged: float, rng: np.random.Generator) -> None:
     logs, live = stores()
     view = toy.view()
     asked = {points.tobytes() for store in (logs, live) for points in view.points(read(store, np.arange(len(store))).state, view.goals)}
-    replay = MixedReplay(config(hindsight=0.25, n_step=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
+    replay = MixedReplay(config(hindsight=0.25, log_hindsight=logged, n_step=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
     for _ in range(20):
         batch = replay.sample(rng)
         state, following = batch.state.numpy(), batch.next_state.numpy()
         fresh = np.array([points.tobytes() not in asked for points in view.points(state, view.goals)])
-        np.testing.assert_array_equal(fresh, [*[True] * 4, *[False] * 12] * 2)
+        np.testing.assert_array_equal(fresh, [*(np.arange(16) < 16 * logged), *(np.arange(16) < 4)])
         goals, palms = view.points(following, view.goals), view.points(following, view.palms)
         np.testing.assert_array_equal(view.points(state, view.goals), goals)
         np.testing.assert_allclose(view.points(following, view.difference), goals - palms, atol=1e-6)
@@ -435,8 +436,8 @@ def test_stores_that_cannot_be_mixed_are_refused() -> None:
     logs, _ = stores()
     with pytest.raises(ConfigError, match="expected logs, live steps or both, got neither"):
         MixedReplay(config(), toy.task(), gamma=GAMMA)
-    with pytest.raises(ConfigError, match=r"replay\.hindsight: expected to know where goals stand"):
-        MixedReplay(config(hindsight=0.5), replace(toy.task(), view=None), gamma=GAMMA, logs=logs)
+    with pytest.raises(ConfigError, match=r"replay\.log_hindsight: expected to know where goals stand"):
+        MixedReplay(config(log_hindsight=0.5), replace(toy.task(), view=None), gamma=GAMMA, logs=logs)
     other = ReplayBuffer(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
     with pytest.raises(ConfigError, match=r"logs have widths \(n_x, n_u, k\) = \(18, 9, 2\), live steps \(5, 9, 2\)"):
         MixedReplay(config(), toy.task(), gamma=GAMMA, logs=logs, live=other)
