@@ -26,6 +26,10 @@ NEAR = 0.06
 CORRECTION = 0.15
 """Share of the palm error that the last way point takes up per step."""
 CLEARANCES = (0.03, 0.02, 0.01, 0.0)
+SLIDING = (0.015, 0.0)
+"""Clearances that a way past spheres is tried with, from other links than those that slide and from the robot itself [m]."""
+THERE = 0.02
+"""Such a way arrives where every palm is this close to its goal [m]."""
 PROGRESS, PATIENCE = 0.005, 10
 """A way point is passed by if for this many steps its error has not shrunk by that much [rad]: a sphere is in its place."""
 ROLLOUT = 130
@@ -138,9 +142,10 @@ class Expert:
         known = [[*vias, end] for end in ends for vias in ways]
         if len(spheres):
             direct = [[end] for end in ends]
-            found = next((way for way in direct + known if self._slides(start, way, goals, spheres)), None)
-            if found is not None:
-                return found
+            for clearance in SLIDING:
+                for way in direct + known:
+                    if self._slides(start, way, goals, spheres, clearance):
+                        return way
         for clearance in CLEARANCES:
             for way in known:
                 if self._clear([start, *way], clearance):
@@ -165,15 +170,15 @@ class Expert:
                 return [end]
         return legal or [self._reach.standing_angles if held is None else np.where(self._moves, self._reach.standing_angles, held)]
 
-    def _slides(self, start: Array, way: list[Array], goals: Array, spheres: Array) -> bool:
-        """Whether following a way, sliding past spheres, arrives without touching anything, the base standing still."""
+    def _slides(self, start: Array, way: list[Array], goals: Array, spheres: Array, clearance: float) -> bool:
+        """Whether following a way, sliding past spheres, arrives without coming close to anything, the base standing still."""
         plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, spheres), start.copy()
         for _ in range(ROLLOUT):
             error = self._next(plan, angles)
-            if plan.at + 1 == len(way) and np.abs(error).max() < NEAR:
+            if plan.at + 1 == len(way) and np.linalg.norm(self._reach.palms(angles) - goals, axis=1).max() < THERE:
                 return True
             angles = angles + self._towards(error, angles, spheres) * self._step
-            if self._reach.touches(angles):
+            if self._reach.touches(angles, clearance=clearance, own=clearance):
                 return False
         return False
 

@@ -45,7 +45,10 @@ class Reach:
         """
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
         self._obstacles = obstacles(self._model)
+        self._solid = set(self._obstacles.tolist())
+        tips = [self._model.site(arm.palm).bodyid[0] for arm in robot.arms]
         self._model.geom_margin[self._obstacles] = MARGIN  # contacts with obstacles are listed before they touch
+        self._model.geom_margin[np.isin(self._model.geom_bodyid, tips)] = MARGIN  # and those of the arms' last links
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
@@ -98,13 +101,19 @@ class Reach:
         mujoco.mj_kinematics(self._model, self._data)
         return np.asarray(self._data.site_xpos[self._sites].copy())
 
-    def touches(self, angles: Array, *, clearance: float = 0.0) -> bool:
-        """The robot touches itself or an obstacle, or comes closer to an obstacle than `clearance` ≤ MARGIN [m]."""
+    def touches(self, angles: Array, *, clearance: float = 0.0, own: float = 0.0) -> bool:
+        """The robot touches itself or an obstacle, or comes too close.
+
+        Args:
+            angles: Joint angles, (n_u,) [rad].
+            clearance: Distance kept from obstacles, at most MARGIN [m].
+            own: Distance that the arms' last links keep from the rest of the robot, at most MARGIN [m].
+        """
         self.palms(angles)
         mujoco.mj_collision(self._model, self._data)
         contact = self._data.contact
-        for (first, second), distance in zip(contact.geom, contact.dist, strict=True):
-            if not self._sole_geoms & {int(first), int(second)} and (distance < clearance):
+        for pair, distance in zip(contact.geom.tolist(), contact.dist, strict=True):
+            if self._sole_geoms.isdisjoint(pair) and distance < (own if self._solid.isdisjoint(pair) else clearance):
                 return True
         return False
 
