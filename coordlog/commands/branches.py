@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from coordlog.sim.draw import Problem
     from coordlog.sim.simulation import Outcome
 
-EARLIEST, LATEST = 30, 4
+EARLIEST, LATEST = 30, 6
 """An episode in which something went wrong is left at least LATEST and at most EARLIEST steps before that; our choice."""
 
 

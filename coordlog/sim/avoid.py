@@ -60,12 +60,5 @@ def turned(reach: Reach, angles: Array, action: Array, *, spheres: Array, step: 
 
 def _constraints(reach: Reach, angles: Array, spheres: Array) -> tuple[list[Array], list[float]]:
     """For each near pair of last link and sphere: how a joint's motion closes the distance, (n_u,) [m/rad], and by how much it may [m]."""
-    rows, allowed = [], []
-    for point, body, centre, radius in reach.approaches(angles, spheres):
-        away = centre - point
-        distance = float(np.linalg.norm(away))
-        gap = distance - radius - LINK_RADIUS
-        if gap < NEAR and distance > 0:
-            rows.append((away / distance) @ reach.jacobian_at(point, body))
-            allowed.append(CLOSING * (gap - SAFE))
-    return rows, allowed
+    found = reach.approaches(angles, spheres, within=NEAR + LINK_RADIUS)
+    return [link.closing for link in found], [CLOSING * (link.gap - LINK_RADIUS - SAFE) for link in found]

@@ -175,8 +175,11 @@ class Expert:
         plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, spheres), start.copy()
         for _ in range(ROLLOUT):
             error = self._next(plan, angles)
-            if plan.at + 1 == len(way) and np.linalg.norm(self._reach.palms(angles) - goals, axis=1).max() < THERE:
-                return True
+            if plan.at + 1 == len(way):
+                if np.linalg.norm(self._reach.palms(angles) - goals, axis=1).max() < THERE:
+                    return True
+                if plan.stuck > PATIENCE:
+                    return False
             angles = angles + self._towards(error, angles, spheres) * self._step
             if self._reach.touches(angles, clearance=clearance, own=clearance):
                 return False

@@ -6,6 +6,7 @@ Used to verify that a drawn problem can be solved and by the scripted expert; no
 from __future__ import annotations
 
 from copy import copy
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,6 +32,15 @@ SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
 
+class Approach(NamedTuple):
+    """A last link beside a sphere."""
+
+    closing: Array
+    """How a joint's motion closes the distance, (n_u,) [m/rad]."""
+    gap: float
+    """From the link's axis to the sphere's surface [m]."""
+
+
 class Reach:
     """The kinematics of one robot in one scene: palms, legality and inverse kinematics at given joint angles."""
 
@@ -46,9 +56,9 @@ class Reach:
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
-        tips = [self._model.site(arm.palm).bodyid[0] for arm in robot.arms]
+        self._tips = np.array([int(self._model.site(arm.palm).bodyid[0]) for arm in robot.arms])
         self._model.geom_margin[self._obstacles] = MARGIN  # contacts with obstacles are listed before they touch
-        self._model.geom_margin[np.isin(self._model.geom_bodyid, tips)] = MARGIN  # and those of the arms' last links
+        self._model.geom_margin[np.isin(self._model.geom_bodyid, self._tips)] = MARGIN  # and those of the arms' last links
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
@@ -69,23 +79,27 @@ class Reach:
         """Action joint angles of a named pose, (n_u,) [rad]."""
         return np.array([robot.poses[pose].get(name, 0.0) for name in robot.action_joints])
 
-    def approaches(self, angles: Array, spheres: Array) -> list[tuple[Array, int, Array, float]]:
-        """Each last link beside each sphere (rows of x, y, z, radius): the link's nearest point and body, centre, radius."""
-        palms, found = self.palms(angles), []
-        for palm, site in zip(palms, self._sites, strict=True):
-            body = int(self._model.site_bodyid[site])
-            start, along = self._data.xpos[body].copy(), TIP * (palm - self._data.xpos[body])
-            for *place, radius in spheres:
-                centre = np.array(place)
-                share = np.clip((centre - start) @ along / (along @ along), 0.0, 1.0)
-                found.append((start + share * along, body, centre, float(radius)))
-        return found
+    def approaches(self, angles: Array, spheres: Array, *, within: float) -> list[Approach]:
+        """Each last link beside each sphere (rows of x, y, z, radius) whose surface is nearer than `within` to its axis [m]."""
+        palms, begin = self.palms(angles), self._data.xpos[self._tips]
+        along = TIP * (palms - begin)[:, None]
+        from_link = spheres[:, :3] - begin[:, None]  # (k, s, 3)
+        share = np.clip((from_link * along).sum(axis=2) / (along * along).sum(axis=2), 0.0, 1.0)[:, :, None]
+        away = from_link - share * along
+        distance = np.sqrt((away * away).sum(axis=2))
+        gap = distance - spheres[:, 3]
+        near = np.argwhere((gap < within) & (distance > 0))
+        if len(near):
+            mujoco.mj_comPos(self._model, self._data)
+        return [
+            Approach(self._jacobian_at(begin[i] + share[i, j] * along[i, 0], self._tips[i]).T @ (away[i, j] / distance[i, j]), gap[i, j])
+            for i, j in near
+        ]
 
-    def jacobian_at(self, point: Array, body: int) -> Array:
-        """How a point of a body moves with the joints, (3, n_u) [m/rad], at the angles of the last call of `approaches`."""
-        mujoco.mj_comPos(self._model, self._data)
+    def _jacobian_at(self, point: Array, body: int) -> Array:
+        """How a point of a body moves with the joints, (3, n_u) [m/rad]."""
         mujoco.mj_jac(self._model, self._data, self._jacobian, None, point, body)
-        return np.asarray(self._jacobian[:, self._dofs].copy())
+        return self._jacobian[:, self._dofs]
 
     def place(self, spheres: Array) -> None:
         """Put the sphere obstacles where a problem has them, rows of x, y, z, radius."""

@@ -9,6 +9,8 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.ik import Reach
 from coordlog.sim.scene import SCENES
 
+FAR = 5.0
+"""Further away than anything here [m]."""
 EFFORT = np.where(np.arange(13) < 5, 0.012, 0.04)
 
 
@@ -29,7 +31,7 @@ def beside(reach: Reach, angles: np.ndarray, offset: tuple[float, float, float],
 
 
 def distance(reach: Reach, angles: np.ndarray, spheres: np.ndarray) -> float:
-    return min(float(np.linalg.norm(centre - point)) - radius for point, _, centre, radius in reach.approaches(angles, spheres))
+    return min(found.gap for found in reach.approaches(angles, spheres, within=FAR))
 
 
 def test_what_is_far_changes_nothing(reach: Reach) -> None:
@@ -57,8 +59,7 @@ def test_a_link_comes_no_closer_than_it_may(reach: Reach) -> None:
 def test_a_motion_away_or_along_is_left_alone(reach: Reach) -> None:
     angles = reach.standing_angles  # the other arm is far
     spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.04, 0.0))
-    (point, body, centre, _), *_ = sorted(reach.approaches(angles, spheres), key=lambda found: float(np.linalg.norm(found[2] - found[0])))
-    row = (centre - point) / np.linalg.norm(centre - point) @ reach.jacobian_at(point, body)
+    row = min(reach.approaches(angles, spheres, within=FAR), key=lambda found: found.gap).closing
     away = -0.02 * row / np.abs(row).max()
     np.testing.assert_array_equal(slide(reach, angles, away, spheres=spheres, effort=EFFORT), away)
     move = np.random.default_rng(2).uniform(-0.02, 0.02, 13)
@@ -69,8 +70,7 @@ def test_a_motion_away_or_along_is_left_alone(reach: Reach) -> None:
 def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
     angles = reach.standing_angles  # the other arm is far
     spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.01, 0.0))
-    (point, body, centre, _), *_ = sorted(reach.approaches(angles, spheres), key=lambda found: float(np.linalg.norm(found[2] - found[0])))
-    row = (centre - point) / np.linalg.norm(centre - point) @ reach.jacobian_at(point, body)
+    row = min(reach.approaches(angles, spheres, within=FAR), key=lambda found: found.gap).closing
     towards = 0.02 * row / np.abs(row).max()
     given = towards - slide(reach, angles, towards, spheres=spheres, effort=EFFORT)
     moved = np.abs(row) > 1e-3
