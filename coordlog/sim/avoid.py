@@ -1,4 +1,4 @@
-"""Sliding past spheres: joint motions that would bring an arm's last link too fast towards one are turned along its surface.
+"""Sliding past what is near: joint motions that would bring a link too fast towards it are turned along its surface.
 
 A velocity damper: the closer the link, the slower it may come (Faverjon and Tournassoud 1987). What is in the way of a straight joint
 line is so passed by going around it, as a function of where everything is now, which a policy can learn; a plan drawn by chance it cannot.
@@ -9,34 +9,36 @@ from __future__ import annotations
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.ik import Reach
+from coordlog.sim.ik import Approach, Reach
 
-SAFE = 0.025
-"""Distance from a link's surface to a sphere at which it may not come any closer [m]."""
-NEAR = 0.14
-"""Spheres further away than this do not matter [m]."""
+SAFE, CLOSE = 0.03, 0.01
+"""Gap between an arm's last link and an obstacle that may not become narrower: on the way, and with the palms at the goals [m]."""
+ON_THE_WAY = 0.15
+"""Further than this from its goal, a palm is on the way [m]; nearer, the gap shrinks in proportion."""
+BODY = 0.02
+"""That gap between other links and an obstacle [m]; the body sways by more than a command says."""
+OWN = 0.008
+"""That gap between a last link and the robot itself [m]."""
 CLOSING = 0.2
-"""Share of the distance that is left to `SAFE` by which a link may come closer in one step."""
+"""Share of the gap that is left to these by which it may close in one step."""
 ROUNDS = 4
-"""Passes over all links and spheres: turning away from one may turn towards another."""
-LINK_RADIUS = 0.02
-"""Radius that a last link is taken to have [m]."""
+"""Passes over all that is near: turning away from one thing may turn towards another."""
 
 
-def slide(reach: Reach, angles: Array, move: Array, *, spheres: Array, effort: Array) -> Array:
-    """A motion of the joints that is slowed towards near spheres and turned along them.
+def slide(reach: Reach, angles: Array, move: Array, *, effort: Array, safe: float = SAFE) -> Array:
+    """A motion of the joints that is slowed towards what is near and turned along it.
 
     Args:
-        reach: Kinematics.
+        reach: Kinematics, the spheres placed.
         angles: Joint angles, (n_u,) [rad].
         move: What is wanted of them in one step, (n_u,) [rad].
-        spheres: Rows of x, y, z, radius [m].
         effort: How far each joint can move in one step, (n_u,) [rad]; those that can do more give way more.
+        safe: Gap to keep between last links and obstacles [m].
     """
-    rows, allowed = _constraints(reach, angles, spheres)
+    near = [(found.closing, allowed(found, safe)) for found in reach.approaches(angles)]
     move = move.copy()
-    for _ in range(ROUNDS if len(rows) else 0):
-        for row, limit in zip(rows, allowed, strict=True):
+    for _ in range(ROUNDS if near else 0):
+        for row, limit in near:
             excess = row @ move - limit
             if excess > 0:
                 give = effort**2 * row
@@ -44,21 +46,25 @@ def slide(reach: Reach, angles: Array, move: Array, *, spheres: Array, effort: A
     return move
 
 
-def turned(reach: Reach, angles: Array, action: Array, *, spheres: Array, step: Array) -> Array:
-    """An action whose motion slides past near spheres, no entry beyond ±1, (n_u,).
+def allowed(found: Approach, safe: float) -> float:
+    """By how much a gap may close in one step [m]; negative where it has to open."""
+    return CLOSING * (found.gap - (OWN if not found.solid else safe if found.tip else BODY))
+
+
+def gap_at(distance: float) -> float:
+    """Gap to keep between last links and obstacles [m] with the palm that is furthest from its goal at this distance [m]."""
+    return max(CLOSE, SAFE * min(1.0, distance / ON_THE_WAY))
+
+
+def turned(reach: Reach, angles: Array, action: Array, *, step: Array, safe: float = SAFE) -> Array:
+    """An action whose motion slides past what is near, no entry beyond ±1, (n_u,).
 
     Args:
-        reach: Kinematics.
+        reach: Kinematics, the spheres placed.
         angles: Joint angles, (n_u,) [rad].
         action: What is wanted, (n_u,).
-        spheres: Rows of x, y, z, radius [m].
         step: How far action 1 moves each joint in one step, (n_u,) [rad]; 0 for one that is locked, which then gives no way either.
+        safe: Gap to keep between last links and obstacles [m].
     """
-    found = slide(reach, angles, action * step, spheres=spheres, effort=step) / np.where(step > 0, step, 1.0)
+    found = slide(reach, angles, action * step, effort=step, safe=safe) / np.where(step > 0, step, 1.0)
     return np.asarray(found / max(1.0, np.abs(found).max()))
-
-
-def _constraints(reach: Reach, angles: Array, spheres: Array) -> tuple[list[Array], list[float]]:
-    """For each near pair of last link and sphere: how a joint's motion closes the distance, (n_u,) [m/rad], and by how much it may [m]."""
-    found = reach.approaches(angles, spheres, within=NEAR + LINK_RADIUS)
-    return [link.closing for link in found], [CLOSING * (link.gap - LINK_RADIUS - SAFE) for link in found]

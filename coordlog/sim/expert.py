@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import turned
+from coordlog.sim.avoid import gap_at, turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -84,11 +84,10 @@ class Expert:
         angles, goals = view.physical(state, "angles"), view.physical(state, "goals")
         spheres = view.physical(state, "spheres") if self._task.n_spheres else np.zeros((len(ids), 0))
         for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
-            self._reach.place(obstacle.reshape(-1, 4))
-            targets = np.asarray(goal.reshape(-1, 3))
+            targets, around = np.asarray(goal.reshape(-1, 3)), obstacle.reshape(-1, 4)
+            self._reach.place(around)
             held = None if self._moves.all() else np.where(self._moves, np.nan, start)
-            around = obstacle.reshape(-1, 4)
-            self._plans[slot] = Plan(self._way(start, targets, rng, held, around), targets, np.zeros_like(targets), held, around)
+            self._plans[slot] = Plan(self._way(start, targets, rng, held), targets, np.zeros_like(targets), held, around)
 
     def act(self, ids: Array, state: Array) -> Array:
         """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
@@ -98,16 +97,18 @@ class Expert:
         for row, slot in enumerate(ids):
             plan = self._plans[slot]
             assert plan is not None, "begin() comes before act()"
-            action[row] = self._towards(self._follow(plan, angles[row], palms[row].reshape(-1, 3)), angles[row], plan.spheres)
+            self._reach.place(plan.spheres)
+            hands = palms[row].reshape(-1, 3)
+            action[row] = self._towards(self._follow(plan, angles[row], hands), angles[row], _farthest(hands, plan.goals))
         return action
 
-    def _towards(self, error: Array, angles: Array, spheres: Array) -> Array:
-        """The action that takes up an error, all joints arriving together, sliding past spheres, (n_u,)."""
+    def _towards(self, error: Array, angles: Array, distance: float) -> Array:
+        """The action that takes up an error, all joints arriving together, sliding past what is near where there are spheres, (n_u,)."""
         wanted = error / (self._step * GAIN_STEPS)
         action = wanted / max(1.0, np.abs(wanted).max())
-        if not len(spheres):
+        if not self._task.n_spheres:
             return np.asarray(action)
-        return turned(self._reach, angles, action, spheres=spheres, step=self._step * self._moves)
+        return turned(self._reach, angles, action, step=self._step * self._moves, safe=gap_at(distance))
 
     def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
         """Error of the joints that move to the present way point [rad]; passes way points and corrects the last one."""
@@ -131,7 +132,7 @@ class Expert:
             error = (plan.points[plan.at] - angles) * self._moves
         return error
 
-    def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None, spheres: Array) -> list[Array]:
+    def _way(self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None) -> list[Array]:
         """The first way that keeps its distance from everything; the known ways first, then random changes to them.
 
         Past spheres it slides, and does so straight to the goals if that is a way: it takes less than half the steps, and where to go then
@@ -140,11 +141,11 @@ class Expert:
         ends = self._ends(goals, rng, held)
         ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
         known = [[*vias, end] for end in ends for vias in ways]
-        if len(spheres):
+        if self._task.n_spheres:
             direct = [[end] for end in ends]
             for clearance in SLIDING:
                 for way in direct + known:
-                    if self._slides(start, way, goals, spheres, clearance):
+                    if self._slides(start, way, goals, clearance):
                         return way
         for clearance in CLEARANCES:
             for way in known:
@@ -170,23 +171,26 @@ class Expert:
                 return [end]
         return legal or [self._reach.standing_angles if held is None else np.where(self._moves, self._reach.standing_angles, held)]
 
-    def _slides(self, start: Array, way: list[Array], goals: Array, spheres: Array, clearance: float) -> bool:
+    def _slides(self, start: Array, way: list[Array], goals: Array, clearance: float) -> bool:
         """Whether following a way, sliding past spheres, arrives without coming close to anything, the base standing still."""
-        plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, spheres), start.copy()
+        plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, np.zeros((0, 4))), start.copy()
         for _ in range(ROLLOUT):
             error = self._next(plan, angles)
-            if plan.at + 1 == len(way):
-                if np.linalg.norm(self._reach.palms(angles) - goals, axis=1).max() < THERE:
-                    return True
-                if plan.stuck > PATIENCE:
-                    return False
-            angles = angles + self._towards(error, angles, spheres) * self._step
+            distance = _farthest(self._reach.palms(angles), goals)
+            if plan.at + 1 == len(way) and (distance < THERE or plan.stuck > PATIENCE):
+                return distance < THERE
+            angles = angles + self._towards(error, angles, distance) * self._step
             if self._reach.touches(angles, clearance=clearance, own=clearance):
                 return False
         return False
 
     def _clear(self, points: list[Array], clearance: float) -> bool:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
+
+
+def _farthest(palms: Array, goals: Array) -> float:
+    """Distance of the palm that is furthest from its goal [m]."""
+    return float(np.linalg.norm(palms - goals, axis=1).max())
 
 
 def _ways(task: Task) -> list[list[Array]]:

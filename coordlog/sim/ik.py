@@ -15,7 +15,6 @@ from coordlog.episode import Array
 from coordlog.sim.balance import support_margin
 from coordlog.sim.robot import Robot
 from coordlog.sim.scene import sole_corner, sphere_geom
-from coordlog.sim.state import TIP
 
 ITERATIONS = 60
 DAMPING = 0.03
@@ -28,17 +27,25 @@ POSTURE = 0.05
 """Share of the way back to the seed posture that each iteration makes in the null space."""
 MARGIN = 0.03
 """Obstacles nearer than this to the robot can be told from far ones [m]."""
+FAR = 0.14
+"""Obstacles within this distance of a link can be slid past [m]."""
+BESIDE = 0.05
+"""The same for links that are not an arm's last one, and for last links beside the robot itself, as far as MARGIN goes [m]."""
 SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
 
 class Approach(NamedTuple):
-    """A last link beside a sphere."""
+    """Two things that are near each other."""
 
     closing: Array
-    """How a joint's motion closes the distance, (n_u,) [m/rad]."""
+    """How a joint's motion closes the gap, (n_u,) [m/rad]."""
     gap: float
-    """From the link's axis to the sphere's surface [m]."""
+    """Between their surfaces [m]."""
+    tip: bool
+    """Whether one of them is an arm's last link."""
+    solid: bool
+    """Whether one of them is an obstacle."""
 
 
 class Reach:
@@ -56,9 +63,12 @@ class Reach:
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
-        self._tips = np.array([int(self._model.site(arm.palm).bodyid[0]) for arm in robot.arms])
-        self._model.geom_margin[self._obstacles] = MARGIN  # contacts with obstacles are listed before they touch
-        self._model.geom_margin[np.isin(self._model.geom_bodyid, self._tips)] = MARGIN  # and those of the arms' last links
+        tips = np.isin(model.geom_bodyid, [model.site(arm.palm).bodyid[0] for arm in robot.arms])
+        self._tip_geoms = set(np.flatnonzero(tips & (model.geom_contype > 0)).tolist())
+        self._wide = copy(model)
+        for own, far in (self._model, MARGIN), (self._wide, FAR):
+            own.geom_margin[self._obstacles] = far  # contacts with obstacles are listed before they touch
+            own.geom_margin[tips] = MARGIN  # and those of the arms' last links
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
@@ -79,35 +89,33 @@ class Reach:
         """Action joint angles of a named pose, (n_u,) [rad]."""
         return np.array([robot.poses[pose].get(name, 0.0) for name in robot.action_joints])
 
-    def approaches(self, angles: Array, spheres: Array, *, within: float) -> list[Approach]:
-        """Each last link beside each sphere (rows of x, y, z, radius) whose surface is nearer than `within` to its axis [m]."""
-        palms, begin = self.palms(angles), self._data.xpos[self._tips]
-        along = TIP * (palms - begin)[:, None]
-        from_link = spheres[:, :3] - begin[:, None]  # (k, s, 3)
-        share = np.clip((from_link * along).sum(axis=2) / (along * along).sum(axis=2), 0.0, 1.0)[:, :, None]
-        away = from_link - share * along
-        distance = np.sqrt((away * away).sum(axis=2))
-        gap = distance - spheres[:, 3]
-        near = np.argwhere((gap < within) & (distance > 0))
-        if len(near):
-            mujoco.mj_comPos(self._model, self._data)
-        return [
-            Approach(self._jacobian_at(begin[i] + share[i, j] * along[i, 0], self._tips[i]).T @ (away[i, j] / distance[i, j]), gap[i, j])
-            for i, j in near
-        ]
+    def approaches(self, angles: Array) -> list[Approach]:
+        """The arms' last links beside obstacles within FAR, other links within BESIDE, and last links beside the rest of the robot."""
+        self.palms(angles)
+        mujoco.mj_collision(self._wide, self._data)
+        mujoco.mj_comPos(self._wide, self._data)
+        contact = self._data.contact
+        found = []
+        for pair, gap, frame, place in zip(contact.geom.tolist(), contact.dist.tolist(), contact.frame, contact.pos, strict=True):
+            tip, solid = not self._tip_geoms.isdisjoint(pair), not self._solid.isdisjoint(pair)
+            if self._sole_geoms.isdisjoint(pair) and gap < (FAR if tip and solid else BESIDE):
+                first, second = (self._rate(place, frame[:3], geom) for geom in pair)
+                found.append(Approach(first - second, gap, tip, solid))
+        return found
 
-    def _jacobian_at(self, point: Array, body: int) -> Array:
-        """How a point of a body moves with the joints, (3, n_u) [m/rad]."""
-        mujoco.mj_jac(self._model, self._data, self._jacobian, None, point, body)
-        return self._jacobian[:, self._dofs]
+    def _rate(self, point: Array, along: Array, geom: int) -> Array:
+        """How a point of a geom moves along a direction with the joints, (n_u,) [m/rad]."""
+        mujoco.mj_jac(self._wide, self._data, self._jacobian, None, point, self._wide.geom_bodyid[geom])
+        return np.asarray(along @ self._jacobian[:, self._dofs])
 
     def place(self, spheres: Array) -> None:
         """Put the sphere obstacles where a problem has them, rows of x, y, z, radius."""
         for i, (x, y, z, radius) in enumerate(spheres):
-            self._model.geom(sphere_geom(i)).size[0] = radius
-            self._data.mocap_pos[self._model.body(sphere_geom(i)).mocapid[0]] = x, y, z
-        if len(spheres):
-            mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+            geom, body = self._model.geom(sphere_geom(i)).id, self._model.body(sphere_geom(i))
+            self._data.mocap_pos[body.mocapid[0]] = x, y, z
+            for model in self._model, self._wide:  # all that mj_setConst would work out from the size, a hundred times faster
+                model.geom_size[geom, 0] = model.geom_rbound[geom] = radius
+                model.geom_aabb[geom, 3:] = model.bvh_aabb[model.body_bvhadr[body.id], 3:] = radius
 
     def palms(self, angles: Array) -> Array:
         """Palm positions at joint angles (n_u,), (k, 3) [m]."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import turned
+from coordlog.sim.avoid import gap_at, turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -33,5 +33,10 @@ class Shielded:
         view = self._task.view
         wanted = self._policy.act(ids, state)
         angles, spheres = view.physical(state, "angles"), view.physical(state, "spheres").reshape(len(state), -1, 4)
-        rows = zip(angles, wanted, spheres, strict=True)
-        return np.array([turned(self._reach, q, a, spheres=around, step=self._step) for q, a, around in rows], dtype=np.float32)
+        away = (view.physical(state, "goals") - view.physical(state, "palms")).reshape(len(state), -1, 3)
+        distance = np.linalg.norm(away, axis=2).max(axis=1)
+        found: Array = np.empty_like(wanted)
+        for row, (q, action, around) in enumerate(zip(angles, wanted, spheres, strict=True)):
+            self._reach.place(around)
+            found[row] = turned(self._reach, q, action, step=self._step, safe=gap_at(float(distance[row])))
+        return found
