@@ -69,6 +69,7 @@ class Reach:
         for own, far in (self._model, MARGIN), (self._wide, FAR):
             own.geom_margin[self._obstacles] = far  # contacts with obstacles are listed before they touch
             own.geom_margin[tips] = MARGIN  # and those of the arms' last links
+            mujoco.mj_setConst(own, mujoco.MjData(own))  # bodies have margins, too
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]

@@ -1,20 +1,23 @@
-"""Sliding past spheres: what is far changes nothing, what is near is not come closer to, and the rest of the motion stays."""
+"""Sliding past what is near: what is far changes nothing, what is near is not come closer to, and the rest of the motion stays."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from coordlog.sim.avoid import CLOSING, LINK_RADIUS, NEAR, SAFE, slide
+from coordlog.sim.avoid import CLOSE, ON_THE_WAY, OWN, SAFE, allowed, gap_at, slide
 from coordlog.sim.config import EnvConfig
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.ik import Reach
+from coordlog.sim.ik import FAR, Approach, Reach
 from coordlog.sim.scene import SCENES
 
-FAR = 5.0
-"""Further away than anything here [m]."""
 EFFORT = np.where(np.arange(13) < 5, 0.012, 0.04)
+ELSEWHERE = [[2.0, 2.0, 2.0, 0.03]] * 2
+"""The other spheres, out of the way."""
+FOREARM = 0.018
+"""Radius of the capsule that ends in the palm [m]."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def reach() -> Reach:
     env = BatchEnv(SCENES["spheres"], EnvConfig(), n=1, threads=1)
     env.reset(np.array([0]), [env.problem(seed=0, split="train", index=0)])
@@ -25,54 +28,99 @@ def home(reach: Reach) -> np.ndarray:
     return reach.angles_of(SCENES["spheres"].robot, "home")
 
 
-def beside(reach: Reach, angles: np.ndarray, offset: tuple[float, float, float], *, radius: float = 0.04) -> np.ndarray:
-    """A sphere near the left palm."""
-    return np.array([[*(reach.palms(angles)[0] + offset), radius]])
+def put_beside(reach: Reach, angles: np.ndarray, offset: tuple[float, float, float], *, radius: float = 0.04) -> None:
+    """A sphere near the left palm, the others elsewhere."""
+    reach.place(np.array([[*(reach.palms(angles)[0] + offset), radius], *ELSEWHERE]))
 
 
-def distance(reach: Reach, angles: np.ndarray, spheres: np.ndarray) -> float:
-    return min(found.gap for found in reach.approaches(angles, spheres, within=FAR))
+def nearest(reach: Reach, angles: np.ndarray) -> Approach:
+    """The last link that is nearest to an obstacle."""
+    return min((found for found in reach.approaches(angles) if found.tip and found.solid), key=lambda found: found.gap)
 
 
 def test_what_is_far_changes_nothing(reach: Reach) -> None:
-    rng, angles = np.random.default_rng(0), home(reach)
-    spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + NEAR + 0.01, 0.0))
-    move = rng.uniform(-1, 1, 13) * EFFORT
-    np.testing.assert_array_equal(slide(reach, angles, move, spheres=spheres, effort=EFFORT), move)
-    np.testing.assert_array_equal(slide(reach, angles, move, spheres=np.zeros((0, 4)), effort=EFFORT), move)
+    angles = reach.standing_angles
+    put_beside(reach, angles, (0.3, 0.3, 0.0))
+    move = np.random.default_rng(0).uniform(-1, 1, 13) * EFFORT
+    assert reach.approaches(angles) == []
+    np.testing.assert_array_equal(slide(reach, angles, move, effort=EFFORT), move)
+
+
+def test_gaps_close_as_they_are_said_to(reach: Reach) -> None:
+    rng, angles, step = np.random.default_rng(1), home(reach), 1e-5
+    put_beside(reach, angles, (0.03, 0.05, 0.05))
+    before, seen = reach.approaches(angles), 0
+    for _ in range(10):
+        move = rng.normal(size=13) * step
+        for was, found in zip(before, reach.approaches(angles + move), strict=True):
+            np.testing.assert_allclose(was.gap - found.gap, was.closing @ move, atol=2e-3 * step)
+            seen += 1
+    assert seen >= 20
 
 
 def test_a_link_comes_no_closer_than_it_may(reach: Reach) -> None:
     rng, angles, turned = np.random.default_rng(1), home(reach), 0
     for _ in range(100):
         offset = rng.normal(size=3)
-        offset *= (0.04 + LINK_RADIUS + rng.uniform(0.0, NEAR)) / np.linalg.norm(offset)
-        spheres, move = beside(reach, angles, tuple(offset)), rng.uniform(-1, 1, 13) * EFFORT
-        before, found = distance(reach, angles, spheres), slide(reach, angles, move, spheres=spheres, effort=EFFORT)
-        may = CLOSING * (before - LINK_RADIUS - SAFE)
-        after = distance(reach, angles + found, spheres)
-        assert before - after < max(may, 0.0) + 1e-3, "to first order in the motion"
+        put_beside(reach, angles, tuple(offset * (0.04 + FOREARM + rng.uniform(0.0, 0.7 * FAR)) / np.linalg.norm(offset)))
+        move = rng.uniform(-1, 1, 13) * EFFORT
+        found = slide(reach, angles, move, effort=EFFORT)
+        for near in reach.approaches(angles):
+            assert near.closing @ found < max(allowed(near, SAFE), near.closing @ move * 0.15) + 1e-3, "after a few rounds"
         turned += int(not np.array_equal(found, move))
     assert turned > 20
 
 
-def test_a_motion_away_or_along_is_left_alone(reach: Reach) -> None:
-    angles = reach.standing_angles  # the other arm is far
-    spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.04, 0.0))
-    row = min(reach.approaches(angles, spheres, within=FAR), key=lambda found: found.gap).closing
-    away = -0.02 * row / np.abs(row).max()
-    np.testing.assert_array_equal(slide(reach, angles, away, spheres=spheres, effort=EFFORT), away)
-    move = np.random.default_rng(2).uniform(-0.02, 0.02, 13)
-    along = move - row * (row @ move) / (row @ row)
-    np.testing.assert_allclose(slide(reach, angles, along, spheres=spheres, effort=EFFORT), along, atol=1e-12)
+def test_an_arm_does_not_run_into_its_own_body(reach: Reach) -> None:
+    angles = home(reach)
+    reach.place(np.array([[2.0, 2.0, 2.0, 0.03], *ELSEWHERE]))
+    inwards = np.zeros(13)
+    names = SCENES["spheres"].robot.action_joints
+    inwards[[names.index("l_arm_z"), names.index("l_shoulder_x")]] = [-0.04, -0.02]
+    free, kept = angles.copy(), angles.copy()
+    for _ in range(60):
+        free = free + inwards
+        kept = kept + slide(reach, kept, inwards, effort=EFFORT)
+    assert reach.touches(free), "else there is nothing to avoid"
+    assert not reach.touches(kept)
+    assert not reach.touches(kept, own=OWN / 2)
+
+
+def test_a_motion_that_closes_no_gap_is_left_alone(reach: Reach) -> None:
+    angles = reach.standing_angles
+    put_beside(reach, angles, (0.0, 0.04 + FOREARM + 0.04, 0.0))
+    rows = np.array([found.closing for found in reach.approaches(angles)])
+    away = -0.02 * rows.sum(axis=0) / np.abs(rows.sum(axis=0)).max()
+    assert (rows @ away <= 0).all()
+    np.testing.assert_array_equal(slide(reach, angles, away, effort=EFFORT), away)
 
 
 def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
-    angles = reach.standing_angles  # the other arm is far
-    spheres = beside(reach, angles, (0.0, 0.04 + LINK_RADIUS + 0.01, 0.0))
-    row = min(reach.approaches(angles, spheres, within=FAR), key=lambda found: found.gap).closing
-    towards = 0.02 * row / np.abs(row).max()
-    given = towards - slide(reach, angles, towards, spheres=spheres, effort=EFFORT)
-    moved = np.abs(row) > 1e-3
-    np.testing.assert_allclose(given[moved] / (EFFORT**2 * row)[moved], (given[moved] / (EFFORT**2 * row)[moved])[0])
-    assert np.abs(given).max() > 0.001
+    angles = reach.standing_angles
+    put_beside(reach, angles, (0.0, 0.0, -0.04 - FOREARM - 0.02))
+    near = nearest(reach, angles).closing
+    towards = 0.02 * near / np.abs(near).max()
+    given = towards - slide(reach, angles, towards, effort=EFFORT)
+    moved = np.abs(near) > 1e-3
+    share = given[moved] / (EFFORT**2 * near)[moved]
+    np.testing.assert_allclose(share, share[0])
+
+
+def test_the_gap_to_keep_shrinks_as_the_palms_arrive() -> None:
+    gaps = [gap_at(distance) for distance in np.linspace(0.0, 2 * ON_THE_WAY, 50)]
+    assert gaps == sorted(gaps)
+    assert gaps[0] == CLOSE
+    assert gaps[-1] == SAFE
+
+
+def test_spheres_that_are_placed_are_where_a_compiled_model_has_them(reach: Reach) -> None:
+    rng, angles = np.random.default_rng(3), home(reach)
+    for _ in range(20):
+        centres = reach.palms(angles)[rng.integers(2, size=3)] + rng.normal(size=(3, 3)) * 0.1
+        reach.place(np.column_stack([centres, rng.uniform(0.02, 0.08, 3)]))
+        placed = reach.approaches(angles)
+        mujoco.mj_setConst(reach._wide, mujoco.MjData(reach._wide))
+        assert [(found.gap, found.closing.tobytes()) for found in placed] == [
+            (found.gap, found.closing.tobytes()) for found in reach.approaches(angles)
+        ]
+        assert placed

@@ -21,8 +21,8 @@ class Forward:
 
     def __init__(self, env: BatchEnv) -> None:
         reach, names = env.draw.reach, env.task.robot.action_joints
-        ahead = np.array([[*(reach.palms(reach.standing_angles)[0] + (1.0, 0.0, 0.0)), 0.1]])
-        forward = np.sign(reach.approaches(reach.standing_angles, ahead, within=2.0)[0].closing)
+        reach.place(np.array([[*(reach.palms(reach.standing_angles)[0] + (0.15, 0.0, 0.0)), 0.05], *[[2.0, 2.0, 2.0, 0.03]] * 2]))
+        forward = np.sign(sum(found.closing for found in reach.approaches(reach.standing_angles)))
         self._action = np.where([name in env.task.robot.arms[0].joints for name in names], forward, 0.0).astype(np.float32)
 
     def begin(self, ids: np.ndarray, state: np.ndarray, rngs: list[np.random.Generator]) -> None:
