@@ -81,7 +81,11 @@ class AsPolicy:
 
 
 class Rows(BaseCallback):
-    """A row of training and one of evaluation every so many steps."""
+    """A row of training and one of evaluation every so many steps and at the end, between the updates of one block and the next block.
+
+    While a block runs, the actor still lacks the updates that the block's steps earn, and a few updates turn a young actor from one corner
+    of its actions to another: what is judged last has to be what is saved.
+    """
 
     def __init__(self, folder: Path, policy: AsPolicy, env: BatchEnv, *, every: int, episodes: int) -> None:
         super().__init__()
@@ -90,16 +94,24 @@ class Rows(BaseCallback):
 
     def _on_step(self) -> bool:
         self._fresh += [bool(info["is_success"]) for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
+        return True
+
+    def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self._due:
             self._due += self._every
-            self._ended += len(self._fresh)
-            success = float(np.mean(self._fresh)) if self._fresh else 0.0
-            seconds = time.perf_counter() - self._began
-            told = {"episodes": len(self._fresh), "episodes_total": self._ended, "success": success, "seconds": seconds}
-            self._fresh = []
-            self._write("training", told)
-            self._write("evaluation", figures(evaluate(self._env, self._policy, episodes=self._episodes, k=self._env.layout.k, seed=0)))
-        return True
+            self._judge()
+
+    def _on_training_end(self) -> None:
+        self._judge()
+
+    def _judge(self) -> None:
+        self._ended += len(self._fresh)
+        success = float(np.mean(self._fresh)) if self._fresh else 0.0
+        seconds = time.perf_counter() - self._began
+        told = {"episodes": len(self._fresh), "episodes_total": self._ended, "success": success, "seconds": seconds}
+        self._fresh = []
+        self._write("training", told)
+        self._write("evaluation", figures(evaluate(self._env, self._policy, episodes=self._episodes, k=self._env.layout.k, seed=0)))
 
     def _write(self, kind: str, values: dict[str, float]) -> None:
         row = {"kind": kind, "update": int(self.model._n_updates), "step": self.num_timesteps, **values}

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from stable_baselines3 import TD3, HerReplayBuffer
 
+from coordlog.scoring import evaluate, figures
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GymEnv
 from coordlog.sim.scene import find
-from results.actors import actor
+from coordlog.train.settings import load_settings
+from results.actors import PEERS, actor
 
 
 def test_a_foreign_model_is_loaded_without_its_environment_and_acts_alike(tmp_path: Path) -> None:
@@ -28,3 +30,19 @@ def test_a_foreign_model_is_loaded_without_its_environment_and_acts_alike(tmp_pa
     assert np.abs(theirs).max() > 1e-3
     assert said["kind"] == "stable-baselines3 TD3"
     assert len(said["sha256"]) == 64
+
+
+def test_the_last_evaluation_of_a_peers_run_is_that_of_the_model_it_saves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not of the model before the last updates, which may do something else altogether."""
+    monkeypatch.syspath_prepend(PEERS)
+    from scalar_peer import curve, learn
+
+    small = ["network.hidden=[8]", "replay.batch=16", "replay.warmup=16", "loop.updates_per_step=1"]
+    learn("planar", load_settings(assignments=small), tmp_path / "run", steps=336, envs=2, every=168, episodes=2)
+    rows = curve(tmp_path / "run")
+    env = BatchEnv(find("planar"), n=2, threads=1)
+    policy, _ = actor(str(tmp_path / "run" / "model.zip"), env)
+    again = figures(evaluate(env, policy, episodes=2, k=env.layout.k, seed=0))
+    assert {name: rows[-1][name] for name in again} == again
+    assert again["score"] != rows[0]["score"]
+    assert [(row["step"], row["update"]) for row in rows] == [(176, 0), (336, 48)]
