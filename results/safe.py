@@ -19,6 +19,7 @@ from coordlog.sim.clearance import SceneChecker
 from coordlog.sim.drive import Drive, Run
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
+from coordlog.sim.state import nearness
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.result import Result
@@ -52,6 +53,7 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
     mujoco.mj_setState(model, data, where.log.start, mujoco.mjtState.mjSTATE_INTEGRATION)
     drive = Drive(task, data.ctrl)
     palms = [model.site(arm.palm).id for arm in task.robot.arms]
+    links = model.site_bodyid[palms]
     mass = model.body_mass / model.body_mass.sum()
     goals, spheres = where.problem.goals, where.problem.spheres
     fixed: dict[str, Array] = {"goals": goals.ravel(), "spheres": spheres.ravel()}
@@ -70,6 +72,7 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
             "palms": here.ravel(),
             "difference": (goals - here).ravel(),
             "com": (mass @ data.xipos)[:2],
+            "nearness": nearness(data.xpos[links][None], here[None], spheres[None]).ravel(),
         }
         action = np.clip(policy.act(ONE, task.view.scaled(parts)[None])[0], -1.0, 1.0).astype(np.float32)
         actions.append(action)

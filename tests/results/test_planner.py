@@ -11,7 +11,7 @@ from results import ompl_plan, planner
 from results.actors import actor
 from results.evaluate import environment
 from results.measure import SEED, SPLIT
-from results.safe import executed, safe
+from results.safe import executed, kinematic, safe
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +91,21 @@ def test_ratios_are_taken_problem_by_problem_where_both_have_one() -> None:
     assert found["cpu"]["median"] == 0.25
     assert (found["jerk"]["median"], found["jerk"]["n"]) == (10.0, 2)
     assert found["jerk_same_duration"]["median"] == 80.0
+
+
+@pytest.mark.parametrize("scene", ["spheres", "shelf"])
+def test_a_kinematic_rollout_shows_the_policy_what_the_simulation_would(scene: str) -> None:
+    env = environment(scene, "pretrained", radius=0.03, torso="free", envs=1, threads=1)
+    where, seen = cases.case(env, 1), []
+
+    class Watch:
+        def begin(self, ids: np.ndarray, state: np.ndarray, rngs: list[np.random.Generator]) -> None:
+            pass
+
+        def act(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
+            seen.append(state[0])
+            return np.zeros((1, 13), np.float32)
+
+    kinematic(env, where, Watch())
+    env.reset(np.array([0]), [where.problem])
+    np.testing.assert_allclose(seen[0], env.state[0], atol=2e-3)
