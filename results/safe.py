@@ -72,8 +72,9 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
             "palms": here.ravel(),
             "difference": (goals - here).ravel(),
             "com": (mass @ data.xipos)[:2],
-            "nearness": nearness(data.xpos[links][None], here[None], spheres[None]).ravel(),
         }
+        if "nearness" in task.view.places:
+            parts["nearness"] = nearness(data.xpos[links][None], here[None], spheres[None]).ravel()
         action = np.clip(policy.act(ONE, task.view.scaled(parts)[None])[0], -1.0, 1.0).astype(np.float32)
         actions.append(action)
         drive.step(action)

@@ -214,16 +214,12 @@ class SceneChecker:
         bounds = np.where(one, reach[first], 0.0) + np.where(other, reach[second], 0.0)
         if not self._corners:
             return np.asarray(bounds)
-        balance = np.zeros((1, model.njnt + 1))  # a shift of the base moves the mass and the feet alike
-        for body in np.flatnonzero(self._mass).tolist():
-            for joint in levers.above(body):
-                balance[0, joint] += self._mass[body] * levers.lever(joint, body, model.body_ipos[body])
-        feet = np.zeros(model.njnt + 1)
-        for site in self._corners:
-            body = int(model.site_bodyid[site])
-            for joint in levers.above(body):
-                feet[joint] = max(feet[joint], levers.lever(joint, body, model.site_pos[site]))
-        return np.concatenate([bounds, balance + feet])
+        heavy = np.flatnonzero(self._mass)
+        balance = self._mass[heavy] @ levers.of(heavy.tolist(), model.body_ipos[heavy], np.zeros(len(heavy)))
+        soles = model.site_bodyid[self._corners]
+        feet = levers.of(soles.tolist(), model.site_pos[self._corners], np.zeros(len(soles))).max(axis=0)
+        last = np.append(balance + feet, 0.0)  # a shift of the base moves the mass and the feet alike
+        return np.concatenate([bounds, last[None]])
 
 
 def _speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:

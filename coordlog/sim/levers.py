@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -32,43 +34,53 @@ class Levers:
         np.add.at(anchors, model.jnt_bodyid, 2.0 * np.linalg.norm(model.jnt_pos, axis=1))
         self._anchors, self._parents = anchors.tolist(), model.body_parentid.tolist()
         self._lengths = np.linalg.norm(model.body_pos, axis=1).tolist()
+        starts = zip(model.body_jntadr.tolist(), model.body_jntnum.tolist(), strict=True)
+        self._joints = [range(first, first + count) for first, count in starts]
         self._above: dict[int, frozenset[int]] = {0: frozenset()}
 
     def above(self, body: int) -> frozenset[int]:
         """Joints that move a body: its own and those of every body between it and the world."""
         if body not in self._above:
-            first = int(self._model.body_jntadr[body])
-            own = range(first, first + int(self._model.body_jntnum[body]))
-            self._above[body] = self.above(self._parents[body]).union(own)
+            self._above[body] = self.above(self._parents[body]).union(self._joints[body])
         return self._above[body]
 
-    def lever(self, joint: int, body: int, point: Array, extent: float = 0.0) -> float:
-        """Metres by which a radian of a joint moves what lies within `extent` of a point of a body, at most.
+    def of(self, bodies: Sequence[int], points: Array, extents: Array) -> Array:
+        """Metres by which a radian of each joint moves what lies within an extent of points of bodies, at most, (m, n_jnt).
+
+        0 for a joint that moves it not at all; of a free base the rotation is meant.
 
         Args:
-            joint: Joint id, one of `above(body)`; for a free base its rotation is meant.
-            body: Body id.
-            point: In the frame of the body, shape (3,) [m].
-            extent: Radius about the point [m].
+            bodies: A body id for each of the m points.
+            points: In the frames of these bodies, (m, 3) [m].
+            extents: Radius about each point, (m,) [m].
         """
-        model, home = self._model, int(self._model.jnt_bodyid[joint])
-        length = 0.0 if body == home else float(np.linalg.norm(point))
-        while body != home:
-            extent += length + self._anchors[body]
-            length, point, body = self._lengths[body], model.body_pos[body], self._parents[body]
-        arm = point - model.jnt_pos[joint]
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
-            arm = arm - (arm @ model.jnt_axis[joint]) * model.jnt_axis[joint]
-        return float(np.linalg.norm(arm)) + extent
+        model, places = self._model, np.concatenate([points, self._model.body_pos])
+        rows = self._walk(bodies, np.linalg.norm(points, axis=1).tolist(), extents.tolist())
+        table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+        (item, joint, place), extent = table[:, :3].astype(np.intp).T, table[:, 3]
+        arm = places[place] - model.jnt_pos[joint]
+        axis = model.jnt_axis[joint] * (model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE)[:, None]
+        arm -= (arm * axis).sum(axis=1, keepdims=True) * axis
+        levers = np.zeros((len(bodies), model.njnt))
+        levers[item, joint] = np.linalg.norm(arm, axis=1) + extent
+        return levers
+
+    def _walk(self, bodies: Sequence[int], lengths: list[float], extents: list[float]) -> list[tuple[int, int, int, float]]:
+        """From each point up to the world: the point, each joint on the way, the end of the last link there, and all links before it."""
+        rows = list[tuple[int, int, int, float]]()
+        for i, (home, length, reach) in enumerate(zip(bodies, lengths, extents, strict=True)):
+            body, at = home, i
+            while body:
+                for joint in self._joints[body]:
+                    rows.append((i, joint, at, reach))
+                reach += length + self._anchors[body]
+                length, at, body = self._lengths[body], len(bodies) + body, self._parents[body]
+        return rows
 
 
 def moved(model: mujoco.MjModel, levers: Levers) -> tuple[Array, Array]:
     """Which joints (and last: a shift of the base) move each geom, and how far at most, (n_geom, n_jnt + 1) each."""
-    moves, reach = np.zeros((model.ngeom, model.njnt + 1), dtype=bool), np.zeros((model.ngeom, model.njnt + 1))
-    for geom in range(model.ngeom):
-        body, radius = int(model.geom_bodyid[geom]), float(model.geom_rbound[geom])
-        for joint in levers.above(body):
-            moves[geom, joint], reach[geom, joint] = True, levers.lever(joint, body, model.geom_pos[geom], radius)
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-                moves[geom, -1], reach[geom, -1] = True, 1.0
-    return moves, reach
+    reach = levers.of(model.geom_bodyid.tolist(), model.geom_pos, model.geom_rbound)
+    based = (reach[:, model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] > 0).any(axis=1)
+    reach = np.column_stack([reach, based])
+    return reach > 0, reach
