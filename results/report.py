@@ -5,6 +5,7 @@ Every number on the page comes from a file in results/tables; tests/results asse
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 from results import cells, claims, planning, tables, torso
@@ -16,6 +17,8 @@ PAGE = Path(__file__).parents[1] / "docs" / "results.md"
 README = PAGE.parents[1] / "README.md"
 MARKS = "<!-- results: the shipped policies -->", "<!-- end results -->"
 """What stands between these lines of README.md is written anew, too."""
+HOW = (("shipped", ""), ("shielded", " behind `--shield`"))
+"""Rows of shipped policies, and what is said of them beside the scene."""
 TARGETS = {"free": 990, "spheres": 950, "table": 990, "shelf": 980}
 """Clean success at 3 cm that the best policy of a scene has to reach, in tenths of a per cent."""
 
@@ -49,43 +52,42 @@ def shipped(found: Tables) -> str:
     lines = cells.head(
         "scene", "problems", "clean at 3 cm", "target", "", "clean at 2 cm", "success at 2 cm", "falls", "one decision / control period"
     )
-    for scene in tables.SCENES:
-        of = tables.of_row(found, "shipped", scene)
-        if not of:
-            lines.append(cells.line(scene, "", "not run", f"≥ {TARGETS[scene] / 10:g} %", *[""] * 5))
-            continue
-        clean, decision = of[0]["3 cm"]["clean"], of[0]["decision"]
-        short = TARGETS[scene] * clean["of"] - 1000 * clean["count"]
-        verdict = "met" if short <= 0 else f"missed by {cells.up(short / clean['of'] / 10)} points"
-        share = f"1 / {int(decision['control_period'] / decision['act']['median']):,}"
-        lines.append(
-            cells.line(
-                scene,
-                cells.problems(of),
-                cells.good(of, "3 cm", "clean"),
-                f"≥ {TARGETS[scene] / 10:g} %",
-                verdict,
-                cells.good(of, "2 cm", "clean"),
-                cells.good(of, "2 cm", "success"),
-                cells.bad(of, "3 cm", "falls"),
-                share,
-            )
-        )
+    for (row, how), scene in product(HOW, tables.SCENES):
+        of, target = tables.of_row(found, row, scene), f"≥ {TARGETS[scene] / 10:g} %"
+        if of:
+            lines.append(cells.line(f"{scene}{how}", *_against(of, scene, target)))
+        elif row == "shipped":
+            lines.append(cells.line(scene, "", "not run", target, *[""] * 5))
     return "## Shipped policies\n\n`coordlog record --scene SCENE --policy pretrained --split test`\n\n" + "\n".join(lines) + "\n"
+
+
+def _against(of: list[tables.Table], scene: str, target: str) -> list[str]:
+    """What a policy does, against what it has to reach."""
+    clean, decision = of[0]["3 cm"]["clean"], of[0]["decision"]
+    short = TARGETS[scene] * clean["of"] - 1000 * clean["count"]
+    return [
+        cells.problems(of),
+        cells.good(of, "3 cm", "clean"),
+        target,
+        "met" if short <= 0 else f"missed by {cells.up(short / clean['of'] / 10)} points",
+        cells.good(of, "2 cm", "clean"),
+        cells.good(of, "2 cm", "success"),
+        cells.bad(of, "3 cm", "falls"),
+        f"1 / {int(decision['control_period'] / decision['act']['median']):,}",
+    ]
 
 
 def readme(text: str, found: Tables) -> str:
     """README.md with its table of shipped policies written anew."""
     lines = cells.head("500 held-out goals, trained", "success at 3 cm", "clean at 3 cm", "clean at 2 cm", "falls", "one decision")
-    for title, row in (("", "shipped"), (" behind `--shield`", "shielded")):
-        for scene in tables.SCENES:
-            of = tables.of_row(found, row, scene)
-            if not of:
-                continue
-            how = "live, from nothing" if of[0]["policy"]["training"]["mode"] == "live" else "from logs"
-            success, clean, small = (cells.good(of, *which) for which in (("3 cm", "success"), ("3 cm", "clean"), ("2 cm", "clean")))
-            falls, taken = cells.bad(of, "3 cm", "falls"), f"{of[0]['decision']['act']['median'] * 1e6:.0f} µs"
-            lines.append(cells.line(f"{scene}{title}, {how}", success, clean, small, falls, taken))
+    for (row, title), scene in product(HOW, tables.SCENES):
+        of = tables.of_row(found, row, scene)
+        if not of:
+            continue
+        how = "live, from nothing" if of[0]["policy"]["training"]["mode"] == "live" else "from logs"
+        success, clean, small = (cells.good(of, *which) for which in (("3 cm", "success"), ("3 cm", "clean"), ("2 cm", "clean")))
+        falls, taken = cells.bad(of, "3 cm", "falls"), f"{of[0]['decision']['act']['median'] * 1e6:.0f} µs"
+        lines.append(cells.line(f"{scene}{title}, {how}", success, clean, small, falls, taken))
     before, rest = text.split(MARKS[0])
     after = rest.split(MARKS[1])[1]
     return f"{before}{MARKS[0]}\n\n" + "\n".join(lines) + f"\n\n{MARKS[1]}{after}"

@@ -28,7 +28,9 @@ def record(
     split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
     noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
     noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
-    shield: Annotated[bool, typer.Option("--shield", help="Slow the forearms down towards near spheres; logged.")] = False,
+    shield: Annotated[
+        bool, typer.Option("--shield", help="Slow links down towards near spheres, and arms towards the body; logged.")
+    ] = False,
     branch: Annotated[
         list[Path] | None, typer.Option(help="Folders of logs; each episode begins in one of those, just before it went wrong.")
     ] = None,

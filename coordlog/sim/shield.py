@@ -1,7 +1,7 @@
-"""A policy whose actions are turned along near spheres before they are executed.
+"""A policy whose actions are turned along what is near before they are executed.
 
-The network decides where to go; a velocity damper (`avoid.slide`) decides how fast a forearm may come closer to a sphere on the way. It
-knows the robot's kinematics, as the expert does, and takes the base to stand still.
+The network decides where to go; a velocity damper (`avoid.slide`) decides how fast a link may come closer to a sphere on the way, and a
+forearm to the robot itself. It knows the robot's kinematics, as the expert does, and takes the base to stand still.
 """
 
 from __future__ import annotations

@@ -35,18 +35,16 @@ def local(problem: Problem) -> Iterator[Candidate]:
 def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
     judge, lam = problem.judge, problem.lam_max
     weight, target = problem.knots.weight, problem.knots.position
-    hot, named, unproven, tried = np.zeros(0, np.intp), np.zeros(len(weight), int), 0, False
+    hot, named, unproven = np.zeros(0, np.intp), np.zeros(len(weight), int), 0
     for turn in range(_ROUNDS if len(weight) > 2 else 1):
         spline = problem.fit(lam, weight=weight, target=target)
-        proof = judge.sampled(spline, hot=hot, lenient=lenient)
-        if not len(proof.found) and not tried:
-            softer, tried = _softer(problem, spline, weight, target, lenient=lenient), True
-            if softer is not None:
-                return softer
+        softer = _softer(problem, spline, weight, target, lenient=lenient) if turn == 0 else None  # most logs need no more
+        if softer is not None:
+            return softer
+        proof = judge.early(spline, hot=hot, lenient=lenient)
         if not len(proof.found):
-            proof = judge.between(spline, proof, lenient=lenient)
-        if not len(proof.found):
-            return problem.candidate(spline, lam, proof, weight)
+            softer = _softer(problem, spline, weight, target, lenient=lenient) if turn > 0 else None
+            return softer or problem.candidate(spline, lam, proof, weight)
         if not lenient and turn >= _PATIENCE and judge.raw.excuses(proof.found, lenient=True).any():
             return _search(problem, lenient=True)
         unproven += int((proof.found.kind == Kind.UNPROVEN).any())
@@ -67,7 +65,7 @@ def _softer(problem: Problem, spline: Spline, weight: Floats, target: Floats, *,
     for eased in problem.eased():
         softer = eased.fit(problem.lam_max, weight=weight, target=target)
         if jerk_of(softer, problem.knots) < worth and not problem.judge.outpaces(softer):
-            proof = problem.judge.prove(softer, lenient=lenient)
+            proof = problem.judge.early(softer, lenient=lenient)
             if not len(proof.found):
                 return eased.candidate(softer, problem.lam_max, proof, weight)
     return None
