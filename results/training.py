@@ -27,7 +27,10 @@ def command(run: dict[str, Any]) -> str:
     words += [f"--updates {loop['updates']}"]
     words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
     named = {("loop", name) for name in ("updates", "steps", "seed")}
-    for section, values in run["settings"].items():
+    replay, settings = run["settings"]["replay"], dict(run["settings"])
+    if mode != "live":  # there was one share for logs and live steps at first
+        settings["replay"] = {**replay, "log_hindsight": replay.get("log_hindsight", replay["hindsight"])}
+    for section, values in settings.items():
         usual = PRESETS["default"].asdict()[section]
         words += [f"--set {section}.{k}={json.dumps(v)}" for k, v in values.items() if (section, k) not in named and v != usual.get(k)]
     return " ".join([*words, f"--seed {run['seed']}"])
