@@ -16,13 +16,13 @@ WAYS = {
 
 ABOUT = """## Problem to safe trajectory
 
-`python -m results.planner SCENE`: the shipped policy's rollout, smoothed with 5 mm of clearance, checked densely and certified between
-samples, against OMPL's RRTConnect to an inverse-kinematics goal with simplification (motions checked every 0.05 rad, keeping 10 mm
-where start and goal allow), on the same held-out problems, taking turns. A kinematic rollout takes the servos as exact and the base as
-still, which is what the planner plans with. Both results are then executed by the same servos from the same first state; executing is
-not part of the CPU time. The planner's path is timed by one minimum-jerk law to the joints' speed limits and may take longer than an
-episode. Jerk is the rest-padded root mean square at the control period. Medians and 95 % bootstrap intervals; processor time of one
-thread on a shared machine.
+`python -m results.planner SCENE`: the shipped policy's rollout (among spheres behind `--shield`), smoothed with 5 mm of clearance,
+checked densely and certified between samples, against OMPL's RRTConnect to an inverse-kinematics goal with simplification (motions
+checked every 0.05 rad, keeping 10 mm where start and goal allow), on the same held-out problems, taking turns. A kinematic rollout
+takes the servos as exact and the base as still, which is what the planner plans with. Both results are then executed by the same servos
+from the same first state; executing is not part of the CPU time. The planner's path is timed by one minimum-jerk law to the joints'
+speed limits and may take longer than an episode. Jerk is the rest-padded root mean square at the control period. Medians and 95 %
+bootstrap intervals; processor time of one thread on a shared machine.
 
 """
 
