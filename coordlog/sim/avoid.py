@@ -17,8 +17,8 @@ ON_THE_WAY = 0.15
 """Further than this from its goal, a palm is on the way [m]; nearer, the gap shrinks in proportion."""
 BODY = 0.02
 """That gap between other links and an obstacle [m]; the body sways by more than a command says."""
-OWN = 0.008
-"""That gap between a last link and the robot itself [m]."""
+OWN = 0.006
+"""That gap between an arm and the robot itself [m]."""
 CLOSING = 0.2
 """Share of the gap that is left to these by which it may close in one step."""
 ROUNDS = 4

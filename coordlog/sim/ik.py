@@ -30,7 +30,7 @@ MARGIN = 0.03
 FAR = 0.14
 """Obstacles within this distance of a link can be slid past [m]."""
 BESIDE = 0.05
-"""The same for links that are not an arm's last one, and for last links beside the robot itself, as far as MARGIN goes [m]."""
+"""The same for links that are not an arm's last one, and for arms beside the robot itself, as far as MARGIN goes [m]."""
 SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
@@ -63,12 +63,13 @@ class Reach:
         self._model, self._margin, self._soles = copy(model), margin, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
-        tips = np.isin(model.geom_bodyid, [model.site(arm.palm).bodyid[0] for arm in robot.arms])
+        last = [int(model.site(arm.palm).bodyid[0]) for arm in robot.arms]
+        tips, arms = np.isin(model.geom_bodyid, last), np.isin(model.geom_bodyid, [*last, *model.body_parentid[last]])
         self._tip_geoms = set(np.flatnonzero(tips & (model.geom_contype > 0)).tolist())
         self._wide = copy(model)
-        for own, far in (self._model, MARGIN), (self._wide, FAR):
+        for own, far, links in (self._model, MARGIN, tips), (self._wide, FAR, arms):
             own.geom_margin[self._obstacles] = far  # contacts with obstacles are listed before they touch
-            own.geom_margin[tips] = MARGIN  # and those of the arms' last links
+            own.geom_margin[links] = MARGIN  # and those of the arms with the rest of the robot
             mujoco.mj_setConst(own, mujoco.MjData(own))  # bodies have margins, too
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
@@ -91,7 +92,7 @@ class Reach:
         return np.array([robot.poses[pose].get(name, 0.0) for name in robot.action_joints])
 
     def approaches(self, angles: Array) -> list[Approach]:
-        """The arms' last links beside obstacles within FAR, other links within BESIDE, and last links beside the rest of the robot."""
+        """What is near: the arms' last links and obstacles within FAR, other links within BESIDE, and arms beside the rest of the robot."""
         self.palms(angles)
         mujoco.mj_collision(self._wide, self._data)
         mujoco.mj_comPos(self._wide, self._data)

