@@ -31,6 +31,8 @@ FAR = 0.14
 """Obstacles within this distance of a link can be slid past [m]."""
 BESIDE = 0.05
 """The same for links that are not an arm's last one, and for arms beside the robot itself, as far as MARGIN goes [m]."""
+NUDGE = 1e-5
+"""Step of a finite difference [m]."""
 SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
@@ -104,6 +106,22 @@ class Reach:
                 first, second = (self._rate(place, frame[:3], geom) for geom in pair)
                 found.append(Approach(first - second, gap, tip, solid))
         return found
+
+    @property
+    def stands(self) -> bool:
+        """Whether it stands on feet."""
+        return bool(self._soles)
+
+    def leaning(self) -> Approach:
+        """The centre of mass beside the edge of the feet that it is nearest to, at the angles of the last `approaches`; `gap` is the margin
+        that it has beyond the one it must keep.
+        """  # noqa: D205 - one sentence
+        corners, com = self._data.site_xpos[self._corners].copy(), self._data.subtree_com[self._base, :2]
+        corners[:, 2] -= corners[:, 2].min()  # the base stands still: the soles are on the floor
+        margin = support_margin(com + np.array([[0.0, 0.0], [NUDGE, 0.0], [0.0, NUDGE]]), np.broadcast_to(corners, (3, *corners.shape)))
+        mujoco.mj_jacSubtreeCom(self._wide, self._data, self._jacobian, self._base)
+        closing = (margin[0] - margin[1:]) / NUDGE @ self._jacobian[:2, self._dofs]
+        return Approach(closing, float(margin[0]) - self._margin, tip=False, solid=False)
 
     def _rate(self, point: Array, along: Array, geom: int) -> Array:
         """How a point of a geom moves along a direction with the joints, (n_u,) [m/rad]."""

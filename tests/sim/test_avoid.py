@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from coordlog.sim.avoid import CLOSE, ON_THE_WAY, OWN, SAFE, allowed, gap_at, slide
+from coordlog.sim.avoid import CLOSE, LEAN, ON_THE_WAY, OWN, SAFE, allowed, gap_at, slide
 from coordlog.sim.config import EnvConfig
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.ik import FAR, Approach, Reach
@@ -124,3 +124,30 @@ def test_spheres_that_are_placed_are_where_a_compiled_model_has_them(reach: Reac
             (found.gap, found.closing.tobytes()) for found in reach.approaches(angles)
         ]
         assert placed
+
+
+def test_the_margin_over_the_feet_shrinks_as_it_is_said_to(reach: Reach) -> None:
+    rng, angles = np.random.default_rng(5), home(reach)
+    reach.place(np.array([[2.0, 2.0, 2.0, 0.03], *ELSEWHERE]))
+    for _ in range(10):
+        move = rng.normal(size=13) * 1e-5
+        reach.approaches(angles)
+        before = reach.leaning()
+        reach.approaches(angles + move)
+        np.testing.assert_allclose(before.gap - reach.leaning().gap, before.closing @ move, atol=1e-8)
+
+
+def test_a_robot_that_leans_as_far_as_it_can_stops_before_it_falls(reach: Reach) -> None:
+    reach.place(np.array([[2.0, 2.0, 2.0, 0.03], *ELSEWHERE]))
+
+    def leant(*, damped: bool) -> float:
+        angles = home(reach)
+        for _ in range(80):
+            reach.approaches(angles)
+            move = EFFORT * np.sign(reach.leaning().closing)
+            angles = angles + (slide(reach, angles, move, effort=EFFORT) if damped else move)
+        reach.approaches(angles)
+        return reach.leaning().gap
+
+    assert leant(damped=False) < 0.0, "else there is nothing to avoid"
+    assert leant(damped=True) > 0.5 * LEAN
