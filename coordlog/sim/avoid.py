@@ -19,8 +19,8 @@ BODY = 0.02
 """That gap between other links and an obstacle [m]; the body sways by more than a command says."""
 OWN = 0.006
 """That gap between an arm and the robot itself [m]."""
-LEAN = 0.015
-"""What the centre of mass keeps of its margin over the feet beyond the one at which the robot counts as falling [m]."""
+LEAN = 0.06
+"""What the torso keeps of the angle to where it counts as tipped; the feet give way by nearly half of it [rad]."""
 CLOSING = 0.2
 """Share of the gap that is left to these by which it may close in one step."""
 ROUNDS = 4
@@ -38,11 +38,10 @@ def slide(reach: Reach, angles: Array, move: Array, *, effort: Array, safe: floa
         safe: Gap to keep between last links and obstacles [m].
     """
     near = [(found.closing, allowed(found, safe)) for found in reach.approaches(angles)]
-    if reach.stands:
-        edge = reach.leaning()
-        near.append((edge.closing, CLOSING * (edge.gap - LEAN)))
+    torso = reach.leaning()
+    near.append((torso.closing, CLOSING * (torso.gap - LEAN)))
     move = move.copy()
-    for _ in range(ROUNDS if near else 0):
+    for _ in range(ROUNDS):
         for row, limit in near:
             excess = row @ move - limit
             if excess > 0:

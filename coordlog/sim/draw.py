@@ -64,7 +64,7 @@ class Draw:
             standing: qpos of the settled start pose, shape (n_q,).
         """
         self._scene, self._config = scene, config
-        self.reach = Reach(scene.robot, model, margin=config.balance_margin, standing=standing)
+        self.reach = Reach(scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing)
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The problem of one episode.

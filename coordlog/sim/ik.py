@@ -31,8 +31,8 @@ FAR = 0.14
 """Obstacles within this distance of a link can be slid past [m]."""
 BESIDE = 0.05
 """The same for links that are not an arm's last one, and for arms beside the robot itself, as far as MARGIN goes [m]."""
-NUDGE = 1e-5
-"""Step of a finite difference [m]."""
+UPRIGHT = 1e-3
+"""Sine of a lean below which it has no direction."""
 SHARED_EFFORT = 2.0
 """Shared joints count as this much harder to move: the spine helps where the arms alone do not reach."""
 
@@ -53,16 +53,17 @@ class Approach(NamedTuple):
 class Reach:
     """The kinematics of one robot in one scene: palms, legality and inverse kinematics at given joint angles."""
 
-    def __init__(self, robot: Robot, model: mujoco.MjModel, *, margin: float, standing: Array) -> None:
+    def __init__(self, robot: Robot, model: mujoco.MjModel, *, margin: float, tilt: float, standing: Array) -> None:
         """Copy the model; nothing here touches a simulation.
 
         Args:
             robot: Names.
             model: The scene's model; copied, so spheres can be placed.
             margin: The centre of mass stays this far inside the feet [m].
+            tilt: A torso that leans further counts as tipped [rad].
             standing: qpos at rest in the start pose, shape (n_q,).
         """
-        self._model, self._margin, self._soles = copy(model), margin, robot.soles
+        self._model, self._margin, self._tilt, self._soles = copy(model), margin, tilt, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
         last = [int(model.site(arm.palm).bodyid[0]) for arm in robot.arms]
@@ -81,7 +82,8 @@ class Reach:
         self._sites = [model.site(arm.palm).id for arm in robot.arms]
         self._corners = [model.site(sole_corner(sole, i)).id for sole in robot.soles for i in range(4)]
         self._sole_geoms = {model.geom(sole).id for sole in robot.soles}
-        self._base = model.body(robot.torso).rootid[0] if robot.soles else 0
+        self._torso = model.body(robot.torso).id if robot.soles else 0  # the world, which never leans
+        self._base = model.body(self._torso).rootid[0]
         self.limits: Array = np.array([joint.range for joint in joints])
         self.standing_angles: Array = standing[self._qpos].copy()
         self._effort = np.array([SHARED_EFFORT if name in robot.shared else 1.0 for name in robot.action_joints])
@@ -107,21 +109,14 @@ class Reach:
                 found.append(Approach(first - second, gap, tip, solid))
         return found
 
-    @property
-    def stands(self) -> bool:
-        """Whether it stands on feet."""
-        return bool(self._soles)
-
     def leaning(self) -> Approach:
-        """The centre of mass beside the edge of the feet that it is nearest to, at the angles of the last `approaches`; `gap` is the margin
-        that it has beyond the one it must keep.
-        """  # noqa: D205 - one sentence
-        corners, com = self._data.site_xpos[self._corners].copy(), self._data.subtree_com[self._base, :2]
-        corners[:, 2] -= corners[:, 2].min()  # the base stands still: the soles are on the floor
-        margin = support_margin(com + np.array([[0.0, 0.0], [NUDGE, 0.0], [0.0, NUDGE]]), np.broadcast_to(corners, (3, *corners.shape)))
-        mujoco.mj_jacSubtreeCom(self._wide, self._data, self._jacobian, self._base)
-        closing = (margin[0] - margin[1:]) / NUDGE @ self._jacobian[:2, self._dofs]
-        return Approach(closing, float(margin[0]) - self._margin, tip=False, solid=False)
+        """The torso beside the angle at which it counts as tipped, both in radians, at the angles of the last `approaches`."""
+        up = self._data.xmat[self._torso].reshape(3, 3)[:, 2]
+        mujoco.mj_jacBody(self._wide, self._data, None, self._jacobian, self._torso)
+        turning = self._jacobian[:, self._dofs]  # (3, n_u)
+        lean = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+        rising = turning[0] * up[1] - turning[1] * up[0]  # of the upper end of its axis
+        return Approach(-rising / max(np.sin(lean), UPRIGHT), self._tilt - lean, tip=False, solid=False)
 
     def _rate(self, point: Array, along: Array, geom: int) -> Array:
         """How a point of a geom moves along a direction with the joints, (n_u,) [m/rad]."""
