@@ -24,6 +24,8 @@ WITHIN = 0.1
 """A score this close to its last value counts as saturated."""
 SETTLED = 0.75
 """A score has settled if it has been so close for the last quarter of its run."""
+LEARNT = 0.5
+"""A run that succeeds more seldom than this at its end has not learnt the task: a score that stays low is not saturated."""
 ABOUT = ("scene", "mode", "seed", "envs", "where", "data", "log_episodes", "settings", "versions", "git")
 
 
@@ -63,11 +65,13 @@ def kept(scene: str = "*", row: str = "*", *, folder: Path = FOLDER) -> list[Pat
 def saturated(scene: str, *, folder: Path = FOLDER) -> int | None:
     """Live steps from which on the score of the slowest seed stays within WITHIN of its last.
 
-    None without curves, or where one of them was still on its way when the run ended (SETTLED).
+    None without curves, or where one of them was still on its way when the run ended (SETTLED), or had learnt nothing (LEARNT).
     """
     curves = [load_history(path).rows for path in kept(scene, LIVE, folder=folder)]
     steps = [_from(rows) for rows in curves]
-    settled = all(step <= SETTLED * int(rows[-1]["step"]) for step, rows in zip(steps, curves, strict=True))
+    settled = all(
+        step <= SETTLED * int(rows[-1]["step"]) and rows[-1]["success"] >= LEARNT for step, rows in zip(steps, curves, strict=True)
+    )
     return max(steps) if steps and settled else None
 
 

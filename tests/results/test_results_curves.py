@@ -12,7 +12,7 @@ from coordlog.train.history import load_history
 from results import curves
 
 
-def run_folder(folder: Path, *, scores: list[float], seed: int = 0) -> Path:
+def run_folder(folder: Path, *, scores: list[float], seed: int = 0, success: float = 0.5) -> Path:
     folder.mkdir()
     said = {"scene": "free", "mode": "live", "seed": seed, "settings": {"loop": {"seed": seed}}, "env": {"config": {}, "geoms": ["x"] * 99}}
     (folder / "run.json").write_text(json.dumps(said))
@@ -20,7 +20,7 @@ def run_folder(folder: Path, *, scores: list[float], seed: int = 0) -> Path:
     for i, score in enumerate(scores, start=1):
         rows.append({"kind": "training", "update": 10 * i, "step": 1000 * i, "episodes": 7, "episodes_total": 7 * i, "score": 0.0})
         rows.append(
-            {"kind": "evaluation", "update": 10 * i, "step": 1000 * i, "episodes": 50, "score": score, "success": 0.5, "clean": 0.5}
+            {"kind": "evaluation", "update": 10 * i, "step": 1000 * i, "episodes": 50, "score": score, "success": success, "clean": 0.5}
         )
     (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     return folder
@@ -54,3 +54,8 @@ def test_saturation_is_that_of_the_slowest_seed(tmp_path: Path) -> None:
     assert curves.saturated("free", folder=tmp_path / "kept") == 3000
     curves.keep("digrad-live", run_folder(tmp_path / "rising", scores=[0.0, 1.0, 2.0, 3.0], seed=2), folder=tmp_path / "kept")
     assert curves.saturated("free", folder=tmp_path / "kept") is None, "still on its way"
+
+
+def test_a_score_that_stays_low_is_not_saturated(tmp_path: Path) -> None:
+    curves.keep("digrad-live", run_folder(tmp_path / "run", scores=[1.0, 1.0, 1.0, 1.0], success=0.1), folder=tmp_path / "kept")
+    assert curves.saturated("free", folder=tmp_path / "kept") is None
