@@ -87,6 +87,8 @@ def test_a_target_is_met_or_missed_by_so_much() -> None:
 def test_a_claim_without_a_table_is_not_run_and_one_with_follows_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert claims.decision({}).measured == ""
     monkeypatch.setattr(claims.curves, "saturated", lambda _: None)
+    assert claims.saturation({}).verdict.startswith("does not hold: "), "there are curves, and none has settled"
+    monkeypatch.setattr(claims.curves, "kept", lambda *_: [])
     assert claims.section({}).count(claims.NOT_RUN) == len(claims.CHECKS)
     table = {"table-shipped": made("shipped", "table", 500)}
     assert claims.decision(table).verdict.startswith("holds")
