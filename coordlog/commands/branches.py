@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from coordlog.commands.logs import load_logs
 from coordlog.errors import ConfigError
+from coordlog.record.recorder import Recorder
 from coordlog.sim.draw import Branch
 
 if TYPE_CHECKING:
@@ -21,9 +22,8 @@ if TYPE_CHECKING:
 
     from coordlog.episode import Array, Json
     from coordlog.record.cache import Logs
-    from coordlog.record.recorder import Recorder
     from coordlog.sim.draw import Problem
-    from coordlog.sim.simulation import Outcome
+    from coordlog.sim.env import BatchEnv
 
 EARLIEST, LATEST = 30, 6
 """An episode in which something went wrong is left at least LATEST and at most EARLIEST steps before that; our choice."""
@@ -74,34 +74,18 @@ class Parents:
         return parent, Branch(parent.digest, parent.action[:step], parent.state[step])
 
 
-class Branched:
-    """A recorded environment whose episodes begin in the middle of logged ones; otherwise a `rollout.Env` like any other."""
+class Branched(Recorder):
+    """A recorder whose episodes begin in the middle of logged ones."""
 
-    def __init__(self, env: Recorder, parents: Parents) -> None:
-        self._env, self._parents = env, parents
-
-    @property
-    def n(self) -> int:
-        """Number of simulations."""
-        return self._env.n
-
-    @property
-    def state(self) -> Array:
-        """Present policy state of every simulation, (N, n_x) float32."""
-        return self._env.state
+    def __init__(self, parents: Parents, env: BatchEnv, folder: Path, **options: Any) -> None:
+        """As `Recorder`, of episodes that these are left for."""
+        super().__init__(env, folder, **options)
+        self._parents = parents
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The parent's problem, begun where it is left."""
         parent, branch = self._parents.leave(index, seed=seed)
-        return replace(self._env.problem(seed=parent.seed, split=parent.split, index=parent.index), branch=branch)
-
-    def reset(self, ids: Array, problems: list[Problem]) -> None:
-        """Start episodes."""
-        self._env.reset(ids, problems)
-
-    def step(self, action: Array, ids: Array) -> Outcome:
-        """Step."""
-        return self._env.step(action, ids)
+        return replace(super().problem(seed=parent.seed, split=parent.split, index=parent.index), branch=branch)
 
 
 def _parents(logs: Logs) -> Iterator[Parent]:

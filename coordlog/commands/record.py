@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,9 +91,9 @@ def record(
     steps, began = 0, time.perf_counter()
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {place.name}", total=episodes, note="")
-        with Recorder(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
-            begun = Branched(recorder, parents) if parents else recorder
-            for ids, outcome in rollout(begun, actor, range(episodes), seed=seed, split=split):
+        make = partial(Branched, parents) if parents else Recorder
+        with make(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
+            for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
                 board.add(ids, outcome)
                 steps += len(ids)
                 bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")

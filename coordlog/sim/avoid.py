@@ -60,6 +60,11 @@ def gap_at(distance: float) -> float:
     return max(CLOSE, SAFE * min(1.0, distance / ON_THE_WAY))
 
 
+def farthest(palms: Array, goals: Array) -> float:
+    """Distance of the palm that is furthest from its goal, of points (k, 3) [m]."""
+    return float(np.linalg.norm(palms - goals, axis=1).max())
+
+
 def turned(reach: Reach, angles: Array, action: Array, *, step: Array, safe: float = SAFE) -> Array:
     """An action whose motion slides past what is near, no entry beyond ±1, (n_u,).
 

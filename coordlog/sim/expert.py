@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import gap_at, turned
+from coordlog.sim.avoid import farthest, gap_at, turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -99,7 +99,7 @@ class Expert:
             assert plan is not None, "begin() comes before act()"
             self._reach.place(plan.spheres)
             hands = palms[row].reshape(-1, 3)
-            action[row] = self._towards(self._follow(plan, angles[row], hands), angles[row], _farthest(hands, plan.goals))
+            action[row] = self._towards(self._follow(plan, angles[row], hands), angles[row], farthest(hands, plan.goals))
         return action
 
     def _towards(self, error: Array, angles: Array, distance: float) -> Array:
@@ -176,7 +176,7 @@ class Expert:
         plan, angles = Plan(list(way), goals, np.zeros_like(goals), None, np.zeros((0, 4))), start.copy()
         for _ in range(ROLLOUT):
             error = self._next(plan, angles)
-            distance = _farthest(self._reach.palms(angles), goals)
+            distance = farthest(self._reach.palms(angles), goals)
             if plan.at + 1 == len(way) and (distance < THERE or plan.stuck > PATIENCE):
                 return distance < THERE
             angles = angles + self._towards(error, angles, distance) * self._step
@@ -186,11 +186,6 @@ class Expert:
 
     def _clear(self, points: list[Array], clearance: float) -> bool:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
-
-
-def _farthest(palms: Array, goals: Array) -> float:
-    """Distance of the palm that is furthest from its goal [m]."""
-    return float(np.linalg.norm(palms - goals, axis=1).max())
 
 
 def _ways(task: Task) -> list[list[Array]]:

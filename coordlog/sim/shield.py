@@ -1,7 +1,8 @@
 """A policy whose actions are turned along what is near before they are executed.
 
-The network decides where to go; a velocity damper (`avoid.slide`) decides how fast a link may come closer to a sphere on the way, and a
-forearm to the robot itself. It knows the robot's kinematics, as the expert does, and takes the base to stand still.
+The network decides where to go; a velocity damper (`avoid.slide`) decides how fast a link may come closer to a sphere on the way, and an
+arm to the robot itself, and how far the torso may lean. It knows the robot's kinematics, as the expert does, and takes the base to stand
+still.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.avoid import gap_at, turned
+from coordlog.sim.avoid import farthest, gap_at, turned
 from coordlog.sim.ik import Reach
 from coordlog.sim.task import Task
 
@@ -29,14 +30,15 @@ class Shielded:
         self._policy.begin(ids, state, rngs)
 
     def act(self, ids: Array, state: Array) -> Array:
-        """What the policy wants, as far as spheres let it, (n, n_u) float32."""
+        """What the policy wants, as far as what is near lets it, (n, n_u) float32."""
         view = self._task.view
         wanted = self._policy.act(ids, state)
-        angles, spheres = view.physical(state, "angles"), view.physical(state, "spheres").reshape(len(state), -1, 4)
-        away = (view.physical(state, "goals") - view.physical(state, "palms")).reshape(len(state), -1, 3)
-        distance = np.linalg.norm(away, axis=2).max(axis=1)
+        angles = view.physical(state, "angles")
+        spheres, palms, goals = (
+            view.physical(state, name).reshape(len(state), -1, width) for name, width in (("spheres", 4), ("palms", 3), ("goals", 3))
+        )
         found: Array = np.empty_like(wanted)
-        for row, (q, action, around) in enumerate(zip(angles, wanted, spheres, strict=True)):
-            self._reach.place(around)
-            found[row] = turned(self._reach, q, action, step=self._step, safe=gap_at(float(distance[row])))
+        for row, (q, action) in enumerate(zip(angles, wanted, strict=True)):
+            self._reach.place(spheres[row])
+            found[row] = turned(self._reach, q, action, step=self._step, safe=gap_at(farthest(palms[row], goals[row])))
         return found

@@ -93,6 +93,10 @@ def test_a_motion_that_closes_no_gap_is_left_alone(reach: Reach) -> None:
     away = -0.02 * rows.sum(axis=0) / np.abs(rows.sum(axis=0)).max()
     assert (rows @ away <= 0).all()
     np.testing.assert_array_equal(slide(reach, angles, away, effort=EFFORT), away)
+    move = np.random.default_rng(2).uniform(-0.02, 0.02, 13)
+    rows = np.array([*rows, reach.leaning().closing])
+    along = move - np.linalg.pinv(rows) @ (rows @ move)
+    np.testing.assert_allclose(slide(reach, angles, along, effort=EFFORT), along, atol=1e-12)
 
 
 def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
@@ -104,6 +108,7 @@ def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
     moved = np.abs(near) > 1e-3
     share = given[moved] / (EFFORT**2 * near)[moved]
     np.testing.assert_allclose(share, share[0])
+    assert np.abs(given).max() > 0.001
 
 
 def test_the_gap_to_keep_shrinks_as_the_palms_arrive() -> None:
