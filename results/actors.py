@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from coordlog.commands.policies import make_policy
+from coordlog.commands.policies import about, make_policy, policy_file
 from coordlog.episode import Array, Json
 from coordlog.rollout import Policy
 from coordlog.sim.env import BatchEnv
@@ -44,8 +44,8 @@ class Foreign:
         return np.asarray(action, dtype=np.float32)
 
 
-def actor(name: str, env: BatchEnv) -> tuple[Policy, Json]:
-    """The policy, and what a table says of it.
+def actor(name: str, env: BatchEnv, *, shield: bool | None = None) -> tuple[Policy, Json]:
+    """The policy, and what a table says of it; `shield` as for `make_policy`.
 
     Raises:
         ConfigError: for an unknown name.
@@ -61,10 +61,12 @@ def actor(name: str, env: BatchEnv) -> tuple[Policy, Json]:
         model = TD3.load(name, device="cpu", custom_objects=small)
         digest = hashlib.sha256(Path(name).read_bytes()).hexdigest()
         return Foreign(model, env), {"kind": "stable-baselines3 TD3", "sha256": digest, "training": {"steps": int(model.num_timesteps)}}
-    policy, said = make_policy(name, env)
-    about = getattr(policy, "about", {})
+    policy, said = make_policy(name, env, shield=shield)
+    file = policy_file(name, env.scene.name)
+    trained = about(file) if file else {}
     return policy, {
         "kind": said["kind"],
         "sha256": said["checkpoint_sha256"],
-        "training": {key: about[key] for key in ABOUT if key in about},
+        "training": {key: trained[key] for key in ABOUT if key in trained},
+        **({"shield": said["shield"]} if "shield" in said else {}),
     }

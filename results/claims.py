@@ -128,9 +128,15 @@ def avoidance(found: Tables) -> Checked:
     return Checked(
         "The goal is reached without collision and in balance, in all four scenes",
         "pictures of one motion each",
-        _listed(texts) + (" of held-out problems clean" if texts else ""),
+        _listed(texts) + (" of held-out problems clean" if texts else "") + _alone(found),
         _where({scene: each[0]["3 cm"]["clean"]["rate"] >= 0.95 for scene, each in of.items() if each}) + (" (≥ 95 %)" if texts else ""),
     )
+
+
+def _alone(found: Tables) -> str:
+    """What the networks do whose shield was counted in."""
+    texts = {scene: cells.good(each, "3 cm", "clean") for scene in tables.SCENES if (each := tables.of_row(found, "bare", scene))}
+    return f"; without its shield {_listed(texts)}" if texts else ""
 
 
 def spine(found: Tables) -> Checked:

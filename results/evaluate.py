@@ -25,7 +25,6 @@ from coordlog.commands.policies import about, policy_file
 from coordlog.episode import Json
 from coordlog.errors import CoordlogError
 from coordlog.rollout import Policy
-from coordlog.scripted import with_shield
 from coordlog.sim.env import BatchEnv
 from results import tables
 from results.actors import FOREIGN, actor
@@ -36,8 +35,8 @@ from results.training import cost
 
 EPISODES = 500
 ENVS = 32
-SHIELDED = "shielded"
-"""The row of shipped policies behind `record --shield`."""
+BARE = "bare"
+"""The row of shipped policies without the shield that their cards ask for (`record --no-shield`)."""
 RADII = {"3 cm": 0.03, "2 cm": 0.02}
 """An episode ends at success, so each radius is an evaluation of its own."""
 
@@ -69,9 +68,8 @@ def evaluate(row: str, scene: str, policy: str, *, torso: str, episodes: int, se
 
 
 def _acting(row: str, policy: str, env: BatchEnv) -> tuple[Policy, Json]:
-    """The policy of a row, behind the shield where the row has one."""
-    chosen, said = actor(policy, env)
-    return (with_shield(chosen, env), said) if row == SHIELDED else (chosen, said)
+    """The policy of a row, without its shield where the row is that."""
+    return actor(policy, env, shield=False if row == BARE else None)
 
 
 def summary(found: Mapping[str, Any]) -> str:

@@ -20,7 +20,6 @@ from coordlog.episode import Array
 from coordlog.errors import CoordlogError
 from coordlog.rollout import Policy
 from coordlog.scoring import Score
-from coordlog.scripted import with_shield
 from coordlog.sim.drive import Run
 from coordlog.sim.env import BatchEnv
 from coordlog.smooth import metrics
@@ -73,8 +72,6 @@ def compare(scene: str, policy: str, *, episodes: int, seed: int = 0) -> tuple[t
     ours = environment(scene, policy, radius=RADII["3 cm"], torso="free", envs=1, threads=1)
     theirs = environment(scene, policy, radius=RADII["3 cm"], torso="free", envs=1, threads=1, max_steps=LONG)
     act, said = actor(policy, ours)
-    if ours.task.n_spheres:
-        act, said["shield"] = with_shield(act, ours), "velocity damper"
     tried = {name: Tried() for name in (*OURS, "ompl")}
     for index in range(episodes):
         for name in OURS:

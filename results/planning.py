@@ -16,7 +16,7 @@ WAYS = {
 
 ABOUT = """## Problem to safe trajectory
 
-`python -m results.planner SCENE`: the shipped policy's rollout (among spheres behind `--shield`), smoothed with 5 mm of clearance,
+`python -m results.planner SCENE`: the shipped policy's rollout (among spheres with its shield), smoothed with 5 mm of clearance,
 checked densely and certified between samples, against OMPL's RRTConnect to an inverse-kinematics goal with simplification (motions
 checked every 0.05 rad, keeping 10 mm where start and goal allow), on the same held-out problems, taking turns. A kinematic rollout
 takes the servos as exact and the base as still, which is what the planner plans with. Both results are then executed by the same servos

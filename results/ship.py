@@ -1,6 +1,7 @@
 """Ship a policy with the package, or measure again those that ship.
 
     python -m results.ship runs/table-logs-s0      copy its best policy to coordlog/policies/, write the card, measure both goal radii
+    python -m results.ship runs/spheres-s0 --shield    the same for a policy that is to act behind the shield
     python -m results.ship                         measure every shipped policy again
 
 A card (SCENE.json) says how its policy was trained and what it does on held-out goals.
@@ -26,8 +27,8 @@ MAX_BYTES = 1_000_000
 ROW = "shipped"
 
 
-def ship(folder: Path, *, episodes: int) -> None:
-    """Make the best policy of a run the one that ships for its scene.
+def ship(folder: Path, *, shield: bool, episodes: int) -> None:
+    """Make the best policy of a run the one that ships for its scene, behind the shield if it is to be.
 
     Raises:
         ConfigError: if the run has no evaluated policy, or one larger than a package should carry.
@@ -43,13 +44,14 @@ def ship(folder: Path, *, episodes: int) -> None:
     shutil.copyfile(source, target)
     target.chmod(0o644)
     how = training(folder, about(source))
-    _write_card(scene, how, measured(scene, how["cost"], episodes=episodes))
+    tables.write({"shield": shield}, scene, folder=SHIPPED)  # what is measured is what ships
+    _write_card(scene, how, measured(scene, how["cost"], episodes=episodes), shield=shield)
 
 
 def again(scene: str, *, episodes: int) -> None:
     """Measure a shipped policy again, and say so on its card."""
     card = json.loads((SHIPPED / f"{scene}.json").read_text(encoding="utf-8"))
-    _write_card(scene, card["training"], measured(scene, card["training"]["cost"], episodes=episodes))
+    _write_card(scene, card["training"], measured(scene, card["training"]["cost"], episodes=episodes), shield=card["shield"])
 
 
 def measured(scene: str, paid: dict[str, Any], *, episodes: int) -> tables.Table:
@@ -77,13 +79,14 @@ def training(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _write_card(scene: str, how: dict[str, Any], table: tables.Table) -> None:
+def _write_card(scene: str, how: dict[str, Any], table: tables.Table, *, shield: bool) -> None:
     file = SHIPPED / f"{scene}{SUFFIX}"
     card = {
         "scene": scene,
         "file": file.name,
         "sha256": table["policy"]["sha256"],
         "bytes": file.stat().st_size,
+        "shield": shield,
         "held_out": {"problems": table["problems"], **{name: _short(table[name]) for name in RADII}},
         "training": how,
     }
@@ -99,10 +102,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m results.ship", description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("run", type=Path, nargs="*", help="run folders; none: measure again what ships")
     parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument("--shield", action="store_true", help="they act behind the shield (`record --shield`)")
     given = parser.parse_args(arguments)
     try:
         for folder in given.run:
-            ship(folder, episodes=given.episodes)
+            ship(folder, shield=given.shield, episodes=given.episodes)
         for path in sorted(SHIPPED.glob(f"*{SUFFIX}")) if not given.run else []:
             again(path.stem, episodes=given.episodes)
     except CoordlogError as error:

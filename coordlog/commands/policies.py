@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ DEFAULT_SCENE = "table"
 PRETRAINED = "pretrained"
 SHIPPED = Path(__file__).parents[1] / "policies"
 """Policies that come with the package, SCENE.safetensors, and beside each its card, SCENE.json."""
+SHIELD = "velocity damper"
+"""What the `coordlog.policy` record calls the shield."""
 
 
 def pretrained(scene: str) -> Path:
@@ -69,13 +72,32 @@ def about(file: Path) -> Json:
     return Trained.load(file).about
 
 
-def make_policy(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
+def wants_shield(name: str, scene: str) -> bool:
+    """Whether a policy is meant to act behind the shield: one that ships says so on its card, no other does."""
+    return name == PRETRAINED and bool(json.loads(pretrained(scene).with_suffix(".json").read_text(encoding="utf-8"))["shield"])
+
+
+def make_policy(name: str, env: BatchEnv, *, shield: bool | None = None) -> tuple[Policy, dict[str, Any]]:
     """The policy, and its `coordlog.policy` record without noise.
 
+    Args:
+        name: Of a scripted policy, a run folder, a file, or "pretrained".
+        env: Where it is to act.
+        shield: Whether it acts behind a velocity damper (`coordlog.sim.shield`); None: as its card says.
+
     Raises:
-        ConfigError: for an unknown name.
+        ConfigError: for an unknown name, or a shield where there is nothing to be shielded from.
         SpecError: if a trained policy does not fit the environment's state or action.
     """
+    from coordlog.scripted import with_shield
+
+    chosen, described = _unshielded(name, env)
+    if wants_shield(name, env.scene.name) if shield is None else shield:
+        return with_shield(chosen, env), described | {"shield": SHIELD}
+    return chosen, described
+
+
+def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
     from coordlog.record.cache import file_digest
     from coordlog.scripted import scripted
     from coordlog.train.policy import Policy as Trained

@@ -30,8 +30,11 @@ def record(
     noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
     noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
     shield: Annotated[
-        bool, typer.Option("--shield", help="Slow links down towards near spheres, and arms towards the body; logged.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            help="Slow links down towards near spheres, and arms towards the body; logged. By default as a shipped policy's card says."
+        ),
+    ] = None,
     branch: Annotated[
         list[Path] | None, typer.Option(help="Folders of logs; each episode begins in one of those, just before it went wrong.")
     ] = None,
@@ -65,7 +68,7 @@ def record(
     from coordlog.record.recorder import Recorder
     from coordlog.rollout import rollout
     from coordlog.scoring import Scoreboard
-    from coordlog.scripted import with_noise, with_shield
+    from coordlog.scripted import with_noise
     from coordlog.sim.scene import find
 
     if where and not branch:
@@ -82,9 +85,7 @@ def record(
     like = parents.env if parents else trained.get("env")
     start = parents.start if parents else start
     env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=like)
-    chosen, described = make_policy(policy, env)
-    if shield:
-        chosen, described["shield"] = with_shield(chosen, env), "velocity damper"
+    chosen, described = make_policy(policy, env, shield=shield)
     actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
     done: list[Finished] = []
     board = Scoreboard(env.n, env.layout.k)

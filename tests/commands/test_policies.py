@@ -15,6 +15,7 @@ from coordlog.commands.environment import make_env
 from coordlog.commands.policies import SHIPPED, make_policy, policy_file, pretrained
 from coordlog.errors import ConfigError, SpecError
 from coordlog.scoring import evaluate
+from coordlog.sim.shield import Shielded
 from coordlog.train.policy import Policy
 
 FILES = sorted(SHIPPED.glob("*.safetensors"))
@@ -34,6 +35,7 @@ def test_a_shipped_policy_is_small_and_has_a_card_that_is_its_own(path: Path) ->
     said = Policy.load(path).about
     training = card["training"]
     assert said["scene"] == card["scene"] == path.stem
+    assert card["shield"] == (path.stem == "spheres")
     assert training["command"].startswith("coordlog train ")
     assert training["logs_sha256"] == said["data"]
     assert (training["seed"], training["cost"]["updates"]) == (said["seed"], said["updates"])
@@ -58,6 +60,23 @@ def test_pretrained_means_the_scenes_own_and_says_so_in_the_log() -> None:
         "checkpoint_sha256": hashlib.sha256(pretrained("shelf").read_bytes()).hexdigest(),
     }
     assert all(score.clean for score in evaluate(env, policy, episodes=2, k=2, seed=1))
+
+
+@pytest.mark.parametrize(("shield", "wanted"), [(None, "velocity damper"), (True, "velocity damper"), (False, None)])
+def test_a_policy_that_ships_with_a_shield_acts_behind_it_unless_told_otherwise(shield: bool | None, wanted: str | None) -> None:
+    env = make_env("spheres", {}, start="stand", envs=1, threads=1)
+    policy, said = make_policy("pretrained", env, shield=shield)
+    assert said.get("shield") == wanted
+    assert isinstance(policy, Shielded) == (wanted is not None)
+    own, said = make_policy(str(pretrained("spheres")), env)
+    assert isinstance(own, Policy), "a card belongs to the name, not to the file"
+    assert "shield" not in said
+
+
+def test_a_shield_needs_something_to_be_shielded_from() -> None:
+    env = make_env("free", {}, start="stand", envs=1, threads=1)
+    with pytest.raises(ConfigError, match="expected a scene with spheres, got 'free'"):
+        make_policy("pretrained", env, shield=True)
 
 
 def test_where_none_ships_the_choices_are_listed() -> None:

@@ -70,6 +70,19 @@ def test_a_row_that_has_no_table_says_so() -> None:
     assert len({len(line.split("|")) for line in text.strip().splitlines()}) == 1, "every line has every column"
 
 
+def test_a_row_that_only_some_scenes_have_is_not_missed_elsewhere() -> None:
+    title = recipes()["rows"]["bare"]["title"]
+    assert title in scene_table({}, "spheres")
+    assert title not in scene_table({}, "table")
+
+
+def test_a_shield_is_said_beside_the_scene() -> None:
+    behind = made("shipped", "spheres", 480) | {"policy": {"training": {}, "shield": "velocity damper"}}
+    text = shipped({"a": behind, "b": made("bare", "spheres", 430)})
+    assert row_of(text, "spheres, with its shield")[4] == "met"
+    assert row_of(text, "spheres, without its shield")[4] == "missed by 9.0 points"
+
+
 def test_several_seeds_are_counted_and_span_a_range() -> None:
     both = {str(seed): made("digrad-live", "free", count, seed=seed) for seed, count in enumerate((497, 489, 500))}
     cells = row_of(scene_table(both, "free"), "DiGrad live")
