@@ -1,11 +1,14 @@
 """From a held-out problem to a proven trajectory: a policy's rollout, smoothed under the scene's rules.
 
-Two rollouts: `physics`, the policy in the simulation that it acts in; and `kinematic`, the policy on the same state with the servos
-taken as exact and the base standing still, which is what a sampling planner plans with.
+Two rollouts: `physics`, the policy in the simulation that it acts in, smoothed and executed as `coordlog smooth` does it; and
+`kinematic`, the policy on the same state with the servos taken as exact and the base standing still, which is what a sampling planner
+plans with. The latter is a path that nobody has gone yet. So it ends in a posture with the palms on their goals, is timed, and is executed
+like a planner's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import process_time
 from typing import Any, NamedTuple, cast
 
@@ -15,6 +18,7 @@ import numpy as np
 from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.episode import Array
 from coordlog.rollout import Policy
+from coordlog.sim.avoid import farthest
 from coordlog.sim.clearance import SceneChecker
 from coordlog.sim.drive import Drive, Run
 from coordlog.sim.env import BatchEnv
@@ -24,18 +28,21 @@ from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
-from results.case import ONE, Case
+from results.case import ONE, Case, chase
+from results.timed import least
 
 CLEARANCE = 0.005  # m, what `coordlog smooth` keeps by default
 
 
 class Rollout(NamedTuple):
-    """Where a policy led, (T + 1) configurations and T actions."""
+    """Where a policy led."""
 
-    time: Array  # (T + 1,) s
-    qpos: Array  # (T + 1, n_q)
-    action: Array  # (T, n_u) float32
+    time: Array  # (n,) s
+    qpos: Array  # (n, n_q)
+    action: Array  # (T, n_u) float32, T < n
     arrived: bool
+    exact: bool
+    """Whether the servos were taken as exact: the angles are the targets, and the times are ours to choose."""
 
 
 class Safe(NamedTuple):
@@ -47,7 +54,7 @@ class Safe(NamedTuple):
 
 
 def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
-    """Act until both palms are at their goals, with servos that are exact and a base that stands still."""
+    """Act until both palms are at their goals, with servos that are exact and a base that stands still, and close the gap that is left."""
     task, model = env.task, where.log.model
     config, data = task.config, mujoco.MjData(model)
     mujoco.mj_setState(model, data, where.log.start, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -57,14 +64,13 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
     mass = model.body_mass / model.body_mass.sum()
     goals, spheres = where.problem.goals, where.problem.spheres
     fixed: dict[str, Array] = {"goals": goals.ravel(), "spheres": spheres.ravel()}
-    qpos, actions = [], []
-    arrived = False
-    for _ in range(config.max_steps + 1):
+    path, actions = list[Array](), list[Array]()
+    while True:
         data.qpos[task.qpos_index] = drive.target
         mujoco.mj_kinematics(model, data)
-        qpos.append(data.qpos.copy())
+        path.append(drive.target)
         here = data.site_xpos[palms]
-        arrived = bool((np.linalg.norm(goals - here, axis=1) < config.goal_radius).all())
+        arrived = farthest(here, goals) < config.goal_radius
         if arrived or len(actions) == config.max_steps:
             break
         parts = fixed | {
@@ -78,14 +84,30 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
         action = np.clip(policy.act(ONE, task.view.scaled(parts)[None])[0], -1.0, 1.0).astype(np.float32)
         actions.append(action)
         drive.step(action)
-    return Rollout(np.arange(len(qpos)) * config.control_period, np.array(qpos), np.array(actions), arrived)
+    if arrived:
+        path += _closing(env, path[-1], goals)
+    angles = np.array(path)
+    duration = max((len(path) - 1) * config.control_period, least(angles[-1] - angles[0], task.speeds))
+    qpos = np.repeat(data.qpos[None], len(path), axis=0)
+    qpos[:, task.qpos_index] = angles
+    return Rollout(np.linspace(0.0, duration, len(path)), qpos, np.array(actions), arrived, exact=True)
+
+
+def _closing(env: BatchEnv, angles: Array, goals: Array) -> list[Array]:
+    """Steps on from where the policy arrived until the palms are on their goals: executed, the base does not stand quite still."""
+    task = env.task
+    there = env.draw.reach.descend(goals, angles)
+    if there is None:
+        return []
+    count = int(np.ceil((np.abs(there - angles) / (task.speeds * task.config.control_period)).max()))
+    return [angles + (there - angles) * (i / count) for i in range(1, count + 1)]
 
 
 def physical(where: Case, env: BatchEnv, policy: Policy) -> Rollout:
     """Act in the simulation until the episode ends."""
     task = env.task
     state = {"now": env.state[:1].copy()}
-    qpos, actions, over, arrived = [where.qpos], [], False, False
+    qpos, actions, over, arrived = [where.qpos], list[Array](), False, False
     while not over:
         action = np.clip(policy.act(ONE, state["now"])[0], -1.0, 1.0).astype(np.float32)
         outcome = env.step(action[None], ONE)
@@ -94,11 +116,21 @@ def physical(where: Case, env: BatchEnv, policy: Policy) -> Rollout:
         state["now"] = env.state[:1].copy()
         over = bool(outcome.terminated[0] | outcome.truncated[0] | outcome.diverged[0])
         arrived = bool(outcome.goal[0].all())
-    return Rollout(np.arange(len(qpos)) * task.config.control_period, np.array(qpos), np.array(actions), arrived)
+    return Rollout(np.arange(len(qpos)) * task.config.control_period, np.array(qpos), np.array(actions), arrived, exact=False)
 
 
-def safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
-    """Roll out and smooth; the env has to stand at the case's start."""
+def safe(env: BatchEnv, where: Case, policies: Sequence[Policy], *, physics: bool) -> Safe:
+    """The first of these policies that leads to the goals by a path that is proven, or the last; the env has to stand at the start."""
+    cpu: dict[str, float] = {}
+    for policy in policies:
+        found = _safe(env, where, policy, physics=physics)
+        cpu = {name: cpu.get(name, 0.0) + spent for name, spent in found.cpu.items()}
+        if found.rollout.arrived and found.result.certified:
+            break
+    return found._replace(cpu=cpu)
+
+
+def _safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
     began = process_time()
     policy.begin(ONE, env.state[:1], [np.random.default_rng(0)])
     rolled = physical(where, env, policy) if physics else kinematic(env, where, policy)
@@ -118,6 +150,8 @@ def safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
 
 
 def executed(where: Case, env: BatchEnv, found: Safe) -> Run:
-    """The smoothed path driven through the simulation from the case's first state (`coordlog.smooth.execute.follow`)."""
+    """The smoothed path driven through the simulation from the case's first state; one from a simulation by its servo targets, too."""
+    if found.rollout.exact:
+        return chase(where.log, found.result.spline, float(found.result.spline.time[-1]))
     log = Log(where.log.header, where.log.model, where.log.start, found.rollout.action)
     return follow(log, found.result, found.rollout.qpos[:, env.task.qpos_index], arrives=found.rollout.arrived)

@@ -17,12 +17,11 @@ import numpy as np
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.sim.attached import load_model
+from coordlog.sim.bounds import bounds
 from coordlog.sim.config import EnvConfig, from_mapping
 from coordlog.sim.footing import FALLING, Footing
 from coordlog.sim.inverse import Inverse
-from coordlog.sim.levers import Levers, moved
 from coordlog.sim.logged import Logged
-from coordlog.sim.pairs import contact_pairs, neighbours
 from coordlog.sim.robot import Robot
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -69,22 +68,18 @@ class SceneChecker:
         self._model, self._data = copy(model), mujoco.MjData(model)
         mujoco.mj_setState(model, self._data, initial, STATE)
         self._model.pair_margin[:] = NEVER  # soles on the floor
-        self._time, self._margin, levers = time, config.balance_margin, Levers(model)
+        self._time, self._margin = time, config.balance_margin
         self._logged = Logged(model, robot, time=time, qpos=qpos)
         self._footing, self._joints = Footing(model, robot, self._logged), self._logged.joints
         self._corners = self._footing.corners
-        mass = model.body_mass * (model.body_rootid == model.body_rootid[model.jnt_bodyid[self._joints[0]]])
-        self._mass = mass / mass.sum()
-        self.pairs = contact_pairs(model, levers, set(self._joints))
+        found = bounds(model, self._joints, self._corners)
+        self._keep, self._index, self._mass = found.keep, found.place, found.mass
+        self.pairs = found.pairs
         """Geom ids of the pairs that are looked at, (P', 2); balance is one more pair after them."""
-        self._keep = ~neighbours(model, self.pairs)  # those pairs that keep a clearance
-        self._index = np.full((model.ngeom, model.ngeom), -1)
-        self._index[self.pairs[:, 0], self.pairs[:, 1]] = self._index[self.pairs[:, 1], self.pairs[:, 0]] = np.arange(len(self.pairs))
         self.inverse = Inverse(self._model, self._logged, self._footing)
-        bounds = self._bounds(levers)
-        self.reach: Array = bounds[:, self._joints]
+        self.reach: Array = found.change[:, self._joints]
         """Metres by which a radian of each action joint changes the distance of each pair, at most, (P, n_u)."""
-        self._drift = np.delete(_speeds(model, time, qpos), self._joints, axis=1) @ np.delete(bounds, self._joints, axis=1).T
+        self._drift = np.delete(_speeds(model, time, qpos), self._joints, axis=1) @ np.delete(found.change, self._joints, axis=1).T
         if self._corners:  # a corner that comes to or leaves the floor changes the balance at once
             lifted = np.flatnonzero(np.diff(self._footing.standing, axis=0).any(axis=1))
             self._drift[np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1), -1] = np.inf
@@ -204,22 +199,6 @@ class SceneChecker:
     def _balance(self, time: Array, com: Array, corners: Array) -> Array:
         """Margin of the centre of mass over the feet, less the one the task asks for, (n,) [m]."""
         return np.asarray(np.maximum(self._footing.margin(time, com, corners) - self._margin, FALLING))
-
-    def _bounds(self, levers: Levers) -> Array:
-        """Metres by which each pair's slack changes, at most, (P, n_jnt + 1): per radian of each joint, and per metre of the base."""
-        model = self._model
-        moves, reach = moved(model, levers)
-        first, second = self.pairs.T
-        one, other = moves[first] & ~moves[second], moves[second] & ~moves[first]
-        bounds = np.where(one, reach[first], 0.0) + np.where(other, reach[second], 0.0)
-        if not self._corners:
-            return np.asarray(bounds)
-        heavy = np.flatnonzero(self._mass)
-        balance = self._mass[heavy] @ levers.of(heavy.tolist(), model.body_ipos[heavy], np.zeros(len(heavy)))
-        soles = model.site_bodyid[self._corners]
-        feet = levers.of(soles.tolist(), model.site_pos[self._corners], np.zeros(len(soles))).max(axis=0)
-        last = np.append(balance + feet, 0.0)  # a shift of the base moves the mass and the feet alike
-        return np.concatenate([bounds, last[None]])
 
 
 def _speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:

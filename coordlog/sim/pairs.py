@@ -34,18 +34,11 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
 
 def neighbours(model: mujoco.MjModel, pairs: Array) -> Array:
     """Which pairs belong to bodies of one robot that are few links apart, (P',) bool."""
-    lines: dict[int, list[int]] = {}
-    for body in np.unique(model.geom_bodyid[pairs]).tolist():
-        line = [body]
-        while line[-1]:
-            line.append(int(model.body_parentid[line[-1]]))
-        lines[body] = line[:-1]  # without the world
-    bodies = [tuple(pair) for pair in model.geom_bodyid[pairs].tolist()]
-    apart = {pair: _links(*(lines[body] for body in pair)) for pair in set(bodies)}
-    links = [apart[pair] for pair in bodies]
-    return np.array(links, dtype=np.int64) <= NEIGHBOURS
-
-
-def _links(a: list[int], b: list[int]) -> int:
-    """Links between the bodies at the start of two lines to the base; more than NEIGHBOURS where they do not meet."""
-    return min((a.index(body) + b.index(body) for body in a if body in b), default=NEIGHBOURS + 1)
+    up = [model.geom_bodyid[pairs]]  # (P', 2) each: the bodies, their parents, …; 0 is the world
+    for _ in range(NEIGHBOURS):
+        up.append(model.body_parentid[up[-1]])
+    near = np.zeros(len(pairs), dtype=bool)
+    for i, one in enumerate(up):
+        for other in up[: len(up) - i]:  # i links down on one side, no more than the rest on the other
+            near |= (one[:, 0] == other[:, 1]) & (one[:, 0] > 0)
+    return near

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from coordlog import episode
@@ -10,7 +11,7 @@ from coordlog.smooth.arrays import Floats
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import cutoff_from_lam, p_from_lam
 from coordlog.smooth.knots import Knots
-from coordlog.smooth.metrics import Metrics
+from coordlog.smooth.metrics import Metrics, measure
 from coordlog.smooth.spline import Spline
 
 SMOOTHED = "smoothed"
@@ -76,9 +77,17 @@ class Result:
     """Configurations whose distances it measured."""
     cpu: float
     """Processor time [s]."""
-    before: Metrics
-    after: Metrics
     config: Config
+
+    @cached_property
+    def before(self) -> Metrics:
+        """Figures of the raw path."""
+        return measure(self.raw, self.knots)
+
+    @cached_property
+    def after(self) -> Metrics:
+        """The same of the path."""
+        return measure(self.spline, self.knots)
 
     @property
     def p(self) -> Floats:

@@ -20,7 +20,6 @@ from coordlog.smooth.judge import Judge
 from coordlog.smooth.knots import Knots, clean
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.local import local
-from coordlog.smooth.metrics import measure
 from coordlog.smooth.paper import paper
 from coordlog.smooth.problem import Candidate, Problem
 from coordlog.smooth.result import KEPT_RAW, PARTLY, RAW_INFEASIBLE, SMOOTHED, Result, Violation
@@ -83,8 +82,6 @@ def smooth(
         ease=best.ease,
         checks=problem.judge.asked.checks,
         slacks=problem.judge.asked.slacks,
-        before=measure(problem.raw, knots),
-        after=measure(best.spline, knots),
         config=config,
         cpu=process_time() - began,
     )

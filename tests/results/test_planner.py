@@ -7,7 +7,7 @@ import pytest
 
 from coordlog.sim.env import BatchEnv
 from results import case as cases
-from results import ompl_plan, planner
+from results import ompl_plan, planner, timed
 from results.actors import actor
 from results.evaluate import environment
 from results.measure import SEED, SPLIT
@@ -43,7 +43,7 @@ def test_a_plan_starts_at_the_start_ends_at_the_goals_and_is_free(env: BatchEnv)
 
 def test_a_timed_path_keeps_the_speeds_and_rests_at_its_ends() -> None:
     points, speeds = np.array([[0.0, 0.0], [1.0, 0.1], [1.0, 0.1], [1.5, -0.2]]), np.array([1.0, 0.3])
-    path = ompl_plan.Timed.of(points, speeds)
+    path = timed.Timed.of(points, speeds)
     assert path.duration == pytest.approx(1.875 * (1.0 + 1.0))
     time = np.linspace(0.0, path.duration, 4001)
     speed = np.abs(np.diff(path(time), axis=0)) / np.diff(time)[:, None] / speeds
@@ -55,7 +55,7 @@ def test_a_timed_path_keeps_the_speeds_and_rests_at_its_ends() -> None:
 
 def test_a_kinematic_rollout_becomes_a_proven_path_that_arrives(env: BatchEnv) -> None:
     where = cases.case(env, 0)
-    found = safe(env, where, actor("pretrained", env)[0], physics=False)
+    found = safe(env, where, [actor("pretrained", env)[0]], physics=False)
     assert found.rollout.arrived
     assert found.result.certified
     base = found.rollout.qpos[:, :7]
@@ -65,12 +65,40 @@ def test_a_kinematic_rollout_becomes_a_proven_path_that_arrives(env: BatchEnv) -
     assert max(scored.arrival) == scored.length - 1
 
 
+def test_a_rollout_taken_as_a_path_is_timed_as_a_planners_and_ends_on_the_goals() -> None:
+    env = environment("free", "pretrained", radius=0.03, torso="free", envs=1, threads=1)
+    where = cases.case(env, 0)
+    rolled = kinematic(env, where, actor("pretrained", env)[0])
+    angles = rolled.qpos[:, env.task.qpos_index]
+    assert np.linalg.norm(env.draw.reach.palms(angles[-1]) - where.problem.goals, axis=1).max() < 0.004
+    assert rolled.time[-1] == pytest.approx(timed.least(angles[-1] - angles[0], env.task.speeds))
+    assert rolled.time[-1] > (len(angles) - 1) * env.task.config.control_period, "the policy itself is faster"
+    assert len(rolled.action) < len(angles)
+
+
+def test_the_first_policy_whose_path_is_proven_counts_and_all_that_were_tried_are_paid_for(env: BatchEnv) -> None:
+    class Stands:
+        def begin(self, ids: np.ndarray, state: np.ndarray, rngs: list[np.random.Generator]) -> None:
+            pass
+
+        def act(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
+            return np.zeros((1, 13), np.float32)
+
+    good = actor("pretrained", env)[0]
+    one, two, none = (safe(env, cases.case(env, 0), ways, physics=False) for ways in ([good, Stands()], [Stands(), good], [Stands()]))
+    assert one.rollout.arrived
+    assert two.rollout.arrived
+    assert not none.rollout.arrived
+    np.testing.assert_array_equal(one.result.spline.position, two.result.spline.position)
+    assert len(none.rollout.qpos) == env.task.config.max_steps + 1
+
+
 def test_a_rollout_in_the_simulation_is_the_evaluations(env: BatchEnv) -> None:
     from coordlog.rollout import rollout
 
     policy = actor("pretrained", env)[0]
     steps = sum(1 for _ in rollout(env, policy, [3], seed=SEED, split=SPLIT))
-    found = safe(env, cases.case(env, 3), policy, physics=True)
+    found = safe(env, cases.case(env, 3), [policy], physics=True)
     assert len(found.rollout.action) == steps
 
 
