@@ -16,13 +16,19 @@ WAYS = {
 
 ABOUT = """## Problem to safe trajectory
 
-`python -m results.planner SCENE`: the shipped policy's rollout (among spheres with its shield), smoothed with 5 mm of clearance,
-checked densely and certified between samples, against OMPL's RRTConnect to an inverse-kinematics goal with simplification (motions
-checked every 0.05 rad, keeping 10 mm where start and goal allow), on the same held-out problems, taking turns. A kinematic rollout
-takes the servos as exact and the base as still, which is what the planner plans with. Both results are then executed by the same servos
-from the same first state; executing is not part of the CPU time. The planner's path is timed by one minimum-jerk law to the joints'
-speed limits and may take longer than an episode. Jerk is the rest-padded root mean square at the control period. Medians and 95 %
-bootstrap intervals; processor time of one thread on a shared machine.
+`python -m results.planner SCENE`: the shipped policy's rollout, smoothed with 5 mm of clearance and certified between samples, against
+OMPL's RRTConnect to an inverse-kinematics goal with simplification (motions checked every 0.05 rad, keeping 10 mm where start and goal
+allow), on the same held-out problems, taking turns. Both results are then executed by the same servos from the same first state;
+executing is not part of the CPU time. Jerk is the rest-padded root mean square at the control period. Medians and 95 % bootstrap
+intervals; processor time of one thread on a shared machine.
+
+A *kinematic rollout* takes the servos as exact and the base as still, which is what the planner plans with. It ends in a posture with
+the palms on their goals, as the planner's path does: the policy leads to the goal radius, inverse kinematics from there closes the rest.
+It is a path that nobody has gone yet, so its times may be chosen: those of the policy, or, where a minimum-jerk motion between its ends
+at the joints' speeds would take longer, as long as that. Among spheres the network alone leads; where what comes of it cannot be proven,
+it is asked again with its shield, and both are paid for. A *rollout in the simulation* keeps its times, as `coordlog smooth` does. The
+planner's path is timed by one minimum-jerk law to the joints' speeds and may take longer than an episode. In `free` nothing is in the
+way: a straight line under that law is then of all motions as long the one with the least jerk, and no other can be ten times smoother.
 
 """
 
