@@ -28,7 +28,7 @@ NOISE = 0.15
 def scenes() -> Path:
     """All four scenes side by side."""
     with tempfile.TemporaryDirectory() as name:
-        _coordlog("scenes", "--picture", f"{name}/scenes")
+        coordlog_command("scenes", "--picture", f"{name}/scenes")
         pictures = [Image.open(f"{name}/scenes/{scene}.png").convert("RGB") for scene in tables.SCENES]
         width, height = pictures[0].size
         whole = Image.new("RGB", (width * len(pictures), height), "white")
@@ -41,10 +41,10 @@ def paths() -> Path:
     """One held-out episode of the shipped table policy with exploration noise, knots against splines."""
     with tempfile.TemporaryDirectory() as name:
         noisy = ("--noise", str(NOISE), "--split", "test", "--seed", "1", "--episodes", "1")
-        _coordlog("record", "--scene", "table", "--policy", "pretrained", *noisy, "--out", f"{name}/raw")
-        _coordlog("smooth", f"{name}/raw", "--out", f"{name}/smoothed")
+        coordlog_command("record", "--scene", "table", "--policy", "pretrained", *noisy, "--out", f"{name}/raw")
+        coordlog_command("smooth", f"{name}/raw", "--out", f"{name}/smoothed")
         (episode,) = Path(name, "smoothed").rglob("*.mcap")
-        _coordlog("plot", str(episode), "--out", f"{name}/paths.png")
+        coordlog_command("plot", str(episode), "--out", f"{name}/paths.png")
         return _save(Image.open(f"{name}/paths.png").convert("RGB"), "paths")
 
 
@@ -54,7 +54,7 @@ def learning() -> Path | None:
     if not kept:
         return None
     with tempfile.TemporaryDirectory() as name:
-        _coordlog("plot", *map(str, kept), "--out", f"{name}/curves.png")
+        coordlog_command("plot", *map(str, kept), "--out", f"{name}/curves.png")
         return _save(Image.open(f"{name}/curves.png").convert("RGB"), "curves")
 
 
@@ -65,7 +65,12 @@ def _save(picture: Image.Image, name: str) -> Path:
     return path
 
 
-def _coordlog(*arguments: str) -> None:
+def coordlog_command(*arguments: str) -> None:
+    """Run `coordlog` with these words, quietly.
+
+    Raises:
+        subprocess.CalledProcessError: if it fails.
+    """
     subprocess.run([sys.executable, "-m", "coordlog.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
-from results import cells, claims, planning, tables, torso
+from results import cells, claims, planning, stops, tables, torso
 from results.cells import Tables
 from results.measure import SEED
 from results.recipes import recipes
@@ -50,7 +50,7 @@ def render(found: Tables) -> str:
     """The page."""
     parts = [INTRO.format(seed=SEED), shipped(found)]
     parts += [f"## {scene.capitalize()}\n\n{scene_table(found, scene)}" for scene in tables.SCENES]
-    parts += [torso.section(found), planning.section(found), claims.section(found), figures(), recipe_list(found)]
+    parts += [stops.section(found), torso.section(found), planning.section(found), claims.section(found), figures(), recipe_list(found)]
     return "\n".join(parts)
 
 
