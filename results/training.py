@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS
 
@@ -33,4 +34,13 @@ def command(run: dict[str, Any]) -> str:
     for section, values in settings.items():
         usual = PRESETS["default"].asdict()[section]
         words += [f"--set {section}.{k}={json.dumps(v)}" for k, v in values.items() if (section, k) not in named and v != usual.get(k)]
+    for section, values in around(run["env"]).items():
+        words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
     return " ".join([*words, f"--seed {run['seed']}"])
+
+
+def around(env: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What of an environment's constants, of a `coordlog.env` record, is not as usual."""
+    usual = {"env": to_mapping(EnvConfig()), "reward": to_mapping(RewardConfig())}
+    said = {"env": env.get("config", {}), "reward": env.get("reward", {})}
+    return {name: {key: value for key, value in said[name].items() if value != usual[name].get(key)} for name in usual}

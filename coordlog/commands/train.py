@@ -33,7 +33,9 @@ def train(
     where: Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")] = "",
     preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
     config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", help="One setting, section.key=value; may be repeated.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, section.key=value, also of [env] and [reward]; may be repeated.")
+    ] = None,
     updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn.")] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps.")] = None,
     hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1.")] = None,
@@ -59,6 +61,8 @@ def train(
 
         coordlog train --from logs/spheres --live --steps 100000 --set behaviour.final=1.0
 
+        coordlog train --from logs/spheres --set reward.n1=3.0
+
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import Judge, Progress, assemble, record_training, require_window, watch
@@ -76,10 +80,10 @@ def train(
         "replay.log_hindsight": hindsight,
     }
     tables = read_toml(config) if config else {}
-    around = {name: tables.pop(name) for name in TABLES if name in tables}
+    around, assigned = _around(tables, settings or [])
     # Live steps alone are a budget: without a word about updates, they are as many as the steps earn.
     earned = ["loop.updates=0"] if steps and updates is None and "updates" not in tables.get("loop", {}) else []
-    wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *(settings or [])])
+    wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
     logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:
@@ -114,6 +118,20 @@ def train(
         outcome = trainer.run(resume=resume and _has_checkpoint(folder))
     again = f" --scene {asked}" if ":" in asked else ""
     _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
+
+
+def _around(tables: dict[str, Any], assignments: list[str]) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The tables [env] and [reward], taken out of the file's, as --set changes them; and the assignments that are not about these."""
+    from coordlog.train.settings import parse_assignment
+
+    around, rest = {name: dict(tables.pop(name)) for name in TABLES if name in tables}, []
+    for text in assignments:
+        section, key, value = parse_assignment(text)
+        if section in TABLES:
+            around.setdefault(section, {})[key] = value
+        else:
+            rest.append(text)
+    return around, rest
 
 
 def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:

@@ -52,11 +52,13 @@ def rows(folder: Path) -> list[dict[str, object]]:
 
 def test_a_run_from_logs_explains_itself_and_its_policy_acts(cache: Path, logs: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    done = coordlog(cache, "train", "--from", logs, "--updates", "60", "--eval-every", "30", *SMALL, "--out", run)
+    dearer = ["--set", "reward.n1=2.5", "--set", "env.max_steps=140"]
+    done = coordlog(cache, "train", "--from", logs, "--updates", "60", "--eval-every", "30", *SMALL, *dearer, "--out", run)
     assert "finished after 60 updates" in done.stdout
     said = json.loads((run / "run.json").read_text())
     assert (said["scene"], said["mode"], said["log_episodes"]) == ("planar", "logs", 12)
     assert said["versions"]["torch"]
+    assert (said["env"]["reward"]["n1"], said["env"]["config"]["max_steps"]) == (2.5, 140), "--set reaches [reward] and [env], too"
     assert len((run / "data.lock").read_text().splitlines()) == 12
     assert [row["update"] for row in rows(run) if row["kind"] == "evaluation"] == [30, 60]
     evaluations = open_logs(run / "episodes")
@@ -115,6 +117,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
+        (("--scene", "planar", "--steps", "64", "--set", "reward.n3=1"), "unknown RewardConfig key 'n3'"),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
         (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
     ],
