@@ -24,11 +24,12 @@ intervals; processor time of one thread on a shared machine.
 
 A *kinematic rollout* takes the servos as exact and the base as still, which is what the planner plans with. It ends in a posture with
 the palms on their goals, as the planner's path does: the policy leads to the goal radius, inverse kinematics from there closes the rest.
-It is a path that nobody has gone yet, so its times may be chosen: those of the policy, or, where a minimum-jerk motion between its ends
-at the joints' speeds would take longer, as long as that. Among spheres the network alone leads; where what comes of it cannot be proven,
-it is asked again with its shield, and both are paid for. A *rollout in the simulation* keeps its times, as `coordlog smooth` does. The
-planner's path is timed by one minimum-jerk law to the joints' speeds and may take longer than an episode. In `free` nothing is in the
-way: a straight line under that law is then of all motions as long the one with the least jerk, and no other can be ten times smoother.
+It is a path that nobody has gone yet, so its times may be chosen: 1.15 times the policy's, or, where a smooth motion between its ends at
+the joints' speeds would take longer, as long as that; 30 configurations of it are kept. Among spheres the network alone leads; where what
+comes of it cannot be proven, it is asked again with its shield, and both are paid for. A *rollout in the simulation* keeps its times, as
+`coordlog smooth` does. The planner's path is timed by one minimum-jerk law to the joints' speeds and may take longer than an episode. In
+`free` nothing is in the way: a straight line under that law is then of all motions as long the one with the least jerk, and no other can
+be ten times smoother.
 
 """
 

@@ -33,6 +33,15 @@ from results.timed import least
 
 CLEARANCE = 0.005  # m, what `coordlog smooth` keeps by default
 
+KNOTS = 30
+"""Configurations of a kinematic rollout that are kept, at most: they say where to go, and the certificate looks between."""
+SLOWER = 1.15
+"""A kinematic rollout takes this much longer than the policy, whose joints are at their speeds' limits: a path that starts softly and goes
+around something has to be faster somewhere, and without room for that turns back into the rollout, jerks and all."""
+PEAK = 1.92
+"""Greatest speed of the smoothest path there is, over its mean: 3/2 of a cubic at rest at both ends, times 4/π of ends that are eased
+over half of it each (`coordlog.smooth.ease`). A motion that is to be no faster than its joints takes at least as long."""
+
 
 class Rollout(NamedTuple):
     """Where a policy led."""
@@ -86,11 +95,12 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
         drive.step(action)
     if arrived:
         path += _closing(env, path[-1], goals)
-    angles = np.array(path)
-    duration = max((len(path) - 1) * config.control_period, least(angles[-1] - angles[0], task.speeds))
-    qpos = np.repeat(data.qpos[None], len(path), axis=0)
+    kept = np.unique(np.linspace(0, len(path) - 1, min(KNOTS, len(path))).round().astype(int))
+    angles = np.array(path)[kept]
+    duration = max(SLOWER * (len(path) - 1) * config.control_period, least(angles[-1] - angles[0], task.speeds, peak=PEAK))
+    qpos = np.repeat(data.qpos[None], len(kept), axis=0)
     qpos[:, task.qpos_index] = angles
-    return Rollout(np.linspace(0.0, duration, len(path)), qpos, np.array(actions), arrived, exact=True)
+    return Rollout(duration * kept / kept[-1], qpos, np.array(actions), arrived, exact=True)
 
 
 def _closing(env: BatchEnv, angles: Array, goals: Array) -> list[Array]:

@@ -12,9 +12,9 @@ PEAK = 1.875
 """Greatest speed of the minimum-jerk law over its mean."""
 
 
-def least(moved: Array, speeds: Array) -> float:
-    """Shortest time of one minimum-jerk motion in which joints move by these angles, (n_u,) [rad] at speeds (n_u,) [rad/s]: [s]."""
-    return PEAK * float((np.abs(moved) / speeds).max())
+def least(moved: Array, speeds: Array, *, peak: float = PEAK) -> float:
+    """Shortest time in which joints move by these angles (n_u,) [rad] at speeds (n_u,) [rad/s], the greatest `peak` times the mean: [s]."""
+    return peak * float((np.abs(moved) / speeds).max())
 
 
 class Timed(NamedTuple):

@@ -62,7 +62,7 @@ def gap_at(distance: float) -> float:
 
 def farthest(palms: Array, goals: Array) -> float:
     """Distance of the palm that is furthest from its goal, of points (k, 3) [m]."""
-    return float(np.linalg.norm(palms - goals, axis=1).max())
+    return float(np.sqrt(np.square(palms - goals).sum(axis=1).max()))
 
 
 def turned(reach: Reach, angles: Array, action: Array, *, step: Array, safe: float = SAFE) -> Array:
