@@ -1,7 +1,7 @@
 """Ship a policy with the package, or measure again those that ship.
 
     python -m results.ship runs/table-logs-s0      copy its best policy to coordlog/policies/, write the card, measure both goal radii
-    python -m results.ship runs/spheres-s0 --shield    the same for a policy that is to act behind the shield
+    python -m results.ship runs/spheres-s0 --shield --last      its last policy instead, and one that is to act behind the shield
     python -m results.ship                         measure every shipped policy again
 
 A card (SCENE.json) says how its policy was trained and what it does on held-out goals.
@@ -27,20 +27,23 @@ MAX_BYTES = 1_000_000
 ROW = "shipped"
 
 
-def ship(folder: Path, *, shield: bool, episodes: int) -> None:
-    """Make the best policy of a run the one that ships for its scene, behind the shield if it is to be.
+def ship(folder: Path, *, shield: bool, last: bool, episodes: int) -> None:
+    """Make the best policy of a run the one that ships for its scene, or the last; behind the shield if it is to be.
+
+    A hundred or two held-out problems cannot tell policies apart that differ by a point or two: where a run's evaluations differ by no
+    more than that, what has learnt longest is the better guess.
 
     Raises:
         ConfigError: if the run has no evaluated policy, or one larger than a package should carry.
     """
-    source = folder / f"{FILES[0]}{SUFFIX}"
+    source = folder / f"{FILES[last]}{SUFFIX}"
     if not source.is_file():
         raise ConfigError(f"{folder}: expected a run folder with {source.name}, found none; train with evaluations (--eval-every)")
     if source.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{source}: expected at most {MAX_BYTES:,} bytes to ship, got {source.stat().st_size:,}")
     scene = about(source)["scene"]
     SHIPPED.mkdir(exist_ok=True)
-    target = SHIPPED / source.name.replace(FILES[0], scene)
+    target = SHIPPED / f"{scene}{SUFFIX}"
     shutil.copyfile(source, target)
     target.chmod(0o644)
     how = training(folder, about(source))
@@ -103,10 +106,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("run", type=Path, nargs="*", help="run folders; none: measure again what ships")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--shield", action="store_true", help="they act behind the shield (`record --shield`)")
+    parser.add_argument("--last", action="store_true", help="their last policies, not their best")
     given = parser.parse_args(arguments)
     try:
         for folder in given.run:
-            ship(folder, shield=given.shield, episodes=given.episodes)
+            ship(folder, shield=given.shield, last=given.last, episodes=given.episodes)
         for path in sorted(SHIPPED.glob(f"*{SUFFIX}")) if not given.run else []:
             again(path.stem, episodes=given.episodes)
     except CoordlogError as error:
