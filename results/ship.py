@@ -68,6 +68,9 @@ def measured(scene: str, paid: dict[str, Any], *, episodes: int) -> tables.Table
 def training(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
     """How a policy came about; `logs_sha256` is that of the digests of all logged episodes, one after the other."""
     run = recall(folder)
+    loop = run["settings"]["loop"]
+    if run["mode"] == "logs":
+        loop["updates"] = max(loop["updates"], said["updates"])  # a run that went on says what it began with
     return {
         "command": command(run),
         "seed": run["seed"],
