@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import coordlog
+from coordlog.cli import app
 from coordlog.commands.branches import EARLIEST, LATEST, Parents, leave
+from coordlog.errors import CoordlogError
 
 SEEDS = 200
 
@@ -107,9 +109,14 @@ def test_conditions_choose_among_the_parents(logs: Path, cache: Path, tmp_path: 
         (("--branch", "LOGS", "--config", "FAST"), "do not lead here to where they led when it was recorded"),
     ],
 )
-def test_what_cannot_be_branched_is_said_in_a_sentence(logs: Path, cache: Path, tmp_path: Path, args: tuple[str, ...], said: str) -> None:
+def test_what_cannot_be_branched_is_said_in_a_sentence(
+    logs: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], said: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     (tmp_path / "empty").mkdir()
     (tmp_path / "fast.toml").write_text("[env]\nspeed = 3.0\n")
     places = {"LOGS": str(logs), "EMPTY": str(tmp_path / "empty"), "FAST": str(tmp_path / "fast.toml")}
-    error = run("record", *(places.get(arg, arg) for arg in args), "--out", tmp_path / "out", cache=cache, wanted=2)
-    assert said in error
+    with pytest.raises(CoordlogError) as refusal:  # in this process: starting one takes longer than refusing
+        app(["record", *(places.get(arg, arg) for arg in args), "--out", str(tmp_path / "out")], standalone_mode=False)
+    assert said in str(refusal.value)
+    assert refusal.value.exit_code == 2
