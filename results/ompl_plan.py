@@ -22,6 +22,8 @@ CLEARANCES = (0.01, 0.005, 0.0)
 """Distances to keep from obstacles [m]: the first that start and goal allow."""
 TIMEOUT = 5.0  # s
 RESTARTS = 60
+PEAK = 1.875
+"""Greatest speed of the minimum-jerk law over its mean."""
 NEVER = -1e3  # m: a contact margin that no contact meets
 
 
@@ -148,3 +150,26 @@ def quiet(seed: int) -> None:
     """No console output, and the same random numbers at every run; has to come before anything else of OMPL's."""
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(seed)
+
+
+class Timed(NamedTuple):
+    """A path along which joints move no faster than they may: straight between its points, under one minimum-jerk law."""
+
+    points: Array
+    along: Array
+    """Time at which each point would be passed at full speed [s], from 0."""
+    duration: float
+
+    @classmethod
+    def of(cls, points: Array, speeds: Array) -> Timed:
+        """Time a path for joint speeds (n_u,) [rad/s]."""
+        moved = np.abs(np.diff(points, axis=0)) / speeds
+        points = points[np.append(True, moved.max(axis=1) > 1e-9)]
+        along = np.append(0.0, np.cumsum((np.abs(np.diff(points, axis=0)) / speeds).max(axis=1)))
+        return cls(points, along, PEAK * float(along[-1]))
+
+    def __call__(self, t: float | Array) -> Array:
+        """Joint angles at times [s], (…, n_u)."""
+        x = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)
+        at = x**3 * (10.0 - 15.0 * x + 6.0 * x**2) * self.along[-1]
+        return np.stack([np.interp(at, self.along, column) for column in self.points.T], axis=-1)

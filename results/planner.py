@@ -29,10 +29,9 @@ from results.actors import actor
 from results.case import case, chase, score
 from results.evaluate import RADII, environment, versions
 from results.nearest import Nearest
-from results.ompl_plan import CLEARANCES, RESOLUTION, plan, quiet
+from results.ompl_plan import CLEARANCES, RESOLUTION, Timed, plan, quiet
 from results.safe import CLEARANCE, executed, safe
 from results.stats import median_interval, rate
-from results.timed import Timed
 
 EPISODES = 200
 LONG = 1000

@@ -29,7 +29,6 @@ from coordlog.smooth.limits import Limits
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 from results.case import ONE, Case, chase
-from results.timed import least
 
 CLEARANCE = 0.005  # m, what `coordlog smooth` keeps by default
 
@@ -97,7 +96,8 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
         path += _closing(env, path[-1], goals)
     kept = np.unique(np.linspace(0, len(path) - 1, min(KNOTS, len(path))).round().astype(int))
     angles = np.array(path)[kept]
-    duration = max(SLOWER * (len(path) - 1) * config.control_period, least(angles[-1] - angles[0], task.speeds, peak=PEAK))
+    straight = float((np.abs(angles[-1] - angles[0]) / task.speeds).max())
+    duration = max(SLOWER * (len(path) - 1) * config.control_period, PEAK * straight)
     qpos = np.repeat(data.qpos[None], len(kept), axis=0)
     qpos[:, task.qpos_index] = angles
     return Rollout(duration * kept / kept[-1], qpos, np.array(actions), arrived, exact=True)

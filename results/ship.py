@@ -47,7 +47,7 @@ def ship(folder: Path, *, shield: bool, last: bool, episodes: int) -> None:
     shutil.copyfile(source, target)
     target.chmod(0o644)
     how = training(folder, about(source))
-    tables.write({"shield": shield}, scene, folder=SHIPPED)  # what is measured is what ships
+    tables.write({"shield": shield, "training": how}, scene, folder=SHIPPED)  # what is measured is what ships; all that `again` needs
     _write_card(scene, how, measured(scene, how["cost"], episodes=episodes), shield=shield)
 
 

@@ -19,6 +19,7 @@ import coordlog
 from coordlog.commands.policies import about, policy_file
 from coordlog.episode import Episode
 from coordlog.errors import CoordlogError
+from coordlog.train.settings import PRESETS
 from results import cells, tables
 from results.cells import Tables
 from results.figures import coordlog_command
@@ -26,8 +27,7 @@ from results.measure import SEED, SPLIT
 from results.stats import rate
 
 EPISODES = 100
-GAMMA = 0.98
-"""Discount of the default preset."""
+GAMMA = PRESETS["default"].learner.gamma
 STILL = "still"
 
 

@@ -60,14 +60,14 @@ def test_check_says_free_exactly_where_no_slack_is_negative(walk):
 
 
 def test_distances_are_those_of_plain_numpy(walk):
-    time, q, row = walk.draw(30)
+    time, q, row = walk.draw(60)
     qpos = walk.qpos[row].copy()
     qpos[:, walk.task.qpos_index] = q
     got = walk.checker.slack(time, q, 0.0)
     wanted = walk.plain.distances(qpos, walk.checker.pairs, cap=NEAR)
     got = got[:, : len(walk.checker.pairs)]
     near = (wanted > 1e-4) & (wanted < 0.9 * NEAR)
-    assert near.sum() > 500
+    assert near.sum() > 1000
     assert np.abs(got - wanted)[near].max() < 1e-4
     assert (got[wanted < -1e-4] < 0).all()
     assert (wanted[got < -1e-4] < 1e-4).all()
@@ -78,9 +78,8 @@ def test_no_slack_exceeds_the_true_distance(walk):
     time, q, row = walk.draw(40)
     qpos = walk.qpos[row].copy()
     qpos[:, walk.task.qpos_index] = q
-    some = walk.rng.choice(len(walk.checker.pairs), size=150, replace=False)  # the plain way is slow, and slower by the pair
-    exact = walk.plain.distances(qpos, walk.checker.pairs[some], cap=np.inf)
-    got = walk.checker.slack(time, q, 0.0)[:, some]
+    exact = walk.plain.distances(qpos, walk.checker.pairs, cap=np.inf)
+    got = walk.checker.slack(time, q, 0.0)[:, : exact.shape[1]]
     assert (got <= np.maximum(exact, 0.0) + 2e-4).all()
 
 
