@@ -1,4 +1,5 @@
-"""All sections of a run as one `Settings`: from a preset, then the tables of a TOML file, then `section.key=value` overrides.
+"""All sections of a run as one `Settings`: from a preset, then the tables of a TOML file, then
+`section.key=value` overrides.
 
 An unknown preset, section or key is an error that lists the known ones.
 """
@@ -12,7 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from coordlog.errors import ConfigError, StorageError, unknown
-from coordlog.train.config import BehaviourConfig, LearnerConfig, LoopConfig, NetworkConfig, NoiseConfig, ReplayConfig, require
+from coordlog.train.config import (
+    BehaviourConfig,
+    LearnerConfig,
+    LoopConfig,
+    NetworkConfig,
+    NoiseConfig,
+    ReplayConfig,
+    require,
+)
 
 BUDGET = (("loop", "updates"), ("loop", "steps"))
 """Settings that a resumed run may change."""
@@ -31,7 +40,10 @@ class Settings:
 
     def asdict(self) -> dict[str, dict[str, Any]]:
         """The settings as nested JSON-able dictionaries."""
-        return {name: {key: _plain(value) for key, value in section.items()} for name, section in asdict(self).items()}
+        return {
+            name: {key: _plain(value) for key, value in section.items()}
+            for name, section in asdict(self).items()
+        }
 
 
 PRESETS: dict[str, Settings] = {
@@ -39,7 +51,13 @@ PRESETS: dict[str, Settings] = {
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
     "paper": Settings(
         network=NetworkConfig(
-            hidden=(700, 400), activation="crelu", actor_norm="batch", critic_norm="batch", dropout=0.2, critics=1, action_layer=2
+            hidden=(700, 400),
+            activation="crelu",
+            actor_norm="batch",
+            critic_norm="batch",
+            dropout=0.2,
+            critics=1,
+            action_layer=2,
         ),
         learner=LearnerConfig(
             gamma=0.99,
@@ -55,7 +73,15 @@ PRESETS: dict[str, Settings] = {
         ),
         behaviour=BehaviourConfig(weight=0.0, final=0.0, effort=0.0),
         noise=NoiseConfig(start=0.3, final=0.02, decay=0.6, correlation=0.0),
-        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0, imitation=0.0, n_step=1, reorder=False),
+        replay=ReplayConfig(
+            batch=64,
+            capacity=45_000,
+            warmup=64,
+            hindsight=0.0,
+            imitation=0.0,
+            n_step=1,
+            reorder=False,
+        ),
         loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, averaged=False),
     ),
 }
@@ -76,7 +102,9 @@ def _convert(key: str, value: object, current: object) -> object:
     require(
         type(value) is type(current),
         key,
-        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[type(current)],
+        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[
+            type(current)
+        ],
         value,
     )
     return value
@@ -86,7 +114,8 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
     """Settings with the values of `tables` ({section: {key: value}}) in place of theirs.
 
     Raises:
-        ConfigError: for a section or key that does not exist (the message lists those that do), a wrong type or range.
+        ConfigError: for a section or key that does not exist (the message lists those that do), a
+            wrong type or range.
     """
     sections = {item.name: getattr(settings, item.name) for item in fields(settings)}
     for name, table in tables.items():
@@ -97,12 +126,18 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
         for key in table:
             if key not in known:
                 raise unknown("setting", f"{name}.{key}", (f"{name}.{choice}" for choice in known))
-        sections[name] = replace(sections[name], **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()})
+        sections[name] = replace(
+            sections[name],
+            **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()},
+        )
     return Settings(**sections)
 
 
 def parse_assignment(text: str) -> tuple[str, str, object]:
-    """Section, key and value of "section.key=value"; the value is read as TOML, and as plain text where that fails."""
+    """Section, key and value of "section.key=value".
+
+    The value is read as TOML, and as plain text where that fails.
+    """
     key, equals, value = text.partition("=")
     section, dot, name = key.strip().partition(".")
     require(bool(equals and dot and name), "--set", "section.key=value", text)
@@ -113,12 +148,17 @@ def parse_assignment(text: str) -> tuple[str, str, object]:
 
 
 def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]) -> None:
-    """Raise ConfigError unless a resumed run's settings are those it was saved with; its budget may be another."""
+    """Raise ConfigError unless a resumed run's settings are those it was saved with.
+
+    Its budget may be another.
+    """
     for section, values in settings.asdict().items():
         for key, value in values.items():
             before = saved.get(section, {}).get(key)
             if before != value and (section, key) not in BUDGET:
-                raise ConfigError(f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings")
+                raise ConfigError(
+                    f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings"
+                )
 
 
 def load_settings(
@@ -128,7 +168,8 @@ def load_settings(
     tables: Mapping[str, Mapping[str, object]] | None = None,
     assignments: Sequence[str] = (),
 ) -> Settings:
-    """Settings of a preset, overridden by a TOML file, overridden by tables, overridden by assignments.
+    """Settings of a preset, overridden by a TOML file, overridden by tables, overridden by
+    assignments.
 
     Args:
         path: TOML file with one table per section, or None.
