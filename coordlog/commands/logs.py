@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,18 +31,11 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
         SpecError: if there is nothing to learn from, or the episodes are of several scenes.
     """
     from coordlog.record.cache import load
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import find_files, nothing_found
 
     files = find_files(paths)
     if not files.paths:
-        unfinished = (
-            f"; {len(files.parts)} unfinished ones are there: `coordlog recover` makes episodes of them"
-            if files.parts
-            else ""
-        )
-        raise SpecError(
-            f"no logs: expected episodes (.mcap) under {', '.join(map(str, paths))}, found none{unfinished}"
-        )
+        raise nothing_found(paths, files, wanted="no logs: ")
     with terminal.progress() as bar:
 
         def run(
@@ -53,6 +47,7 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
                 yield built
 
         logs = load(files.paths, cache_folder(), run=run)
+    logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
     for item in logs.skipped:
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")

@@ -64,7 +64,7 @@ def plot(
     else:
         target = out or Path("joints.png")
         _joints(path, target, force=force)
-    terminal.out.print(str(target), highlight=False, markup=False, soft_wrap=True)
+    terminal.say(str(target))
 
 
 def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> None:

@@ -46,11 +46,6 @@ def recover(
         terminal.print_json([{**item._asdict(), "path": str(item.path)} for item in recovered])
     else:
         for item in recovered:
-            terminal.out.print(
-                f"{item.path}: {item.steps_kept} steps kept, lost: {item.lost}",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
-            )
+            terminal.say(f"{item.path}: {item.steps_kept} steps kept, lost: {item.lost}")
     if any(item.lossy for item in recovered):
         raise typer.Exit(EXIT_PARTIAL)

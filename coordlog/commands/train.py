@@ -298,9 +298,8 @@ def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
         if best
         else ""
     )
-    terminal.out.print(
-        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}",
-        highlight=False,
+    terminal.say(
+        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}"
     )
     if outcome.event is not None:
         terminal.note(f"{outcome.event.name}: {outcome.event.advice}")
@@ -309,8 +308,6 @@ def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
-        terminal.out.print(
-            f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False
-        )
+        terminal.say(f"coordlog record --policy {folder}{scene} --split test --episodes 200")
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)

@@ -23,9 +23,9 @@ import numpy as np
 import pyarrow as pa
 
 from coordlog.episode import Json
-from coordlog.errors import FormatError, SpecError
-from coordlog.record.dataset import Skipped
+from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.dataset import open as open_logs
+from coordlog.record.files import Skipped, reason_of
 from coordlog.record.reader import read_summary
 from coordlog.record.storage import translated
 from coordlog.version import __version__
@@ -158,8 +158,8 @@ def _alike(paths: Sequence[Path]) -> tuple[list[list[Path]], list[Skipped]]:
     for path in paths:
         try:
             summary = read_summary(path)
-        except FormatError as error:
-            skipped.append(Skipped(path, str(error).removeprefix(f"{path}: ")))
+        except (FormatError, StorageError) as error:
+            skipped.append(Skipped(path, reason_of(path, error)))
             continue
         if summary.result.length:
             groups.setdefault(repr((summary.header.layout, summary.header.arms)), []).append(path)

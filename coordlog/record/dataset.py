@@ -10,11 +10,10 @@ A file that is not a finished episode is an error that names it; with `skip_brok
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeVar, overload
+from typing import TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -22,6 +21,10 @@ import pyarrow as pa
 from coordlog.episode import Array, Episode, Result
 from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
+from coordlog.record.files import SUFFIX as SUFFIX
+from coordlog.record.files import Files as Files
+from coordlog.record.files import Skipped, find_files
+from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.messages import decode_final, decode_steps
 from coordlog.record.metadata import (
     ENV,
@@ -33,50 +36,12 @@ from coordlog.record.metadata import (
 )
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import Contents, contents, probe, read_episode, require_order
-from coordlog.record.storage import PART
 from coordlog.spec import FINAL, STEP
 
 _T = TypeVar("_T")
 
-SUFFIX = ".mcap"
-
 _TOPICS = frozenset({STEP.topic, FINAL.topic})
 _GROUP = 16  # files decoded together: their blocks stay in the cache
-
-
-class Skipped(NamedTuple):
-    """A file that was left out, and why."""
-
-    path: Path
-    reason: str
-
-
-class Files(NamedTuple):
-    """Episode files and part files, each sorted by name."""
-
-    paths: tuple[Path, ...]
-    parts: tuple[Path, ...]
-
-
-def find_files(path_or_paths: File | Iterable[File]) -> Files:
-    """The episode files that are named, or lie in the folders that are named, at any depth.
-
-    Raises:
-        StorageError: if a path does not exist.
-    """
-    given = [path_or_paths] if isinstance(path_or_paths, str | os.PathLike) else list(path_or_paths)
-    paths: list[Path] = []
-    parts: list[Path] = []
-    for path in map(Path, given):
-        if not path.exists():
-            raise StorageError(f"{path}: no such file or folder")
-        paths += _below(path, SUFFIX) if path.is_dir() else [path]
-        parts += _below(path, SUFFIX + PART) if path.is_dir() else []
-    return Files(tuple(paths), tuple(parts))
-
-
-def _below(folder: Path, suffix: str) -> list[Path]:
-    return sorted(path for path in folder.rglob("*" + suffix) if not path.is_dir())
 
 
 def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> Dataset:
@@ -94,6 +59,10 @@ def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> 
     """
     files = find_files(path_or_paths)
     dataset = Dataset((), parts=files.parts, skip_broken=skip_broken)
+    if files.skipped and not skip_broken:
+        path, reason = files.skipped[0]
+        raise StorageError(f"{path}: {reason}; skip_broken leaves it out")
+    dataset.skipped += files.skipped
     dataset.paths = tuple(path for path in files.paths if dataset.attempt(path, probe) is not None)
     return dataset
 
@@ -186,9 +155,9 @@ class Dataset(Sequence[Episode]):
             return [convert(group)]
         except FormatError:  # some file of the group: one at a time tells which
             tried = [
-                self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))
+                self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
                 for loaded in group
-            ]  # type: ignore[misc]
+            ]
             return [batch for batch in tried if batch is not None]
 
 

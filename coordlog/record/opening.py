@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.records import FOOTER, MAGIC, TAIL_SIZE, Span, walk
 from coordlog.record.storage import translated
+from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
 
@@ -74,7 +75,10 @@ def require_coordlog(data: bytes | memoryview) -> None:
     if len(data) < len(MAGIC) and MAGIC.startswith(data):
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
     if data[: len(MAGIC)] != MAGIC:
-        raise FormatError("not an MCAP file; expected an episode written by coordlog")
+        what = recognise(data)
+        raise FormatError(
+            f"not an MCAP file; expected an episode written by coordlog{what and ', got '}{what}"
+        )
     span = next(walk(data), Span(0, 0, 0))
     if span.opcode == 0:
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
@@ -83,7 +87,8 @@ def require_coordlog(data: bytes | memoryview) -> None:
         text = content.decode("ascii", "replace").strip("\0")
         printable = "".join(letter if letter.isprintable() else " " for letter in text).strip()
         raise FormatError(
-            f"an MCAP file, but not a coordlog episode: its header says '{printable}'"
+            f"an MCAP file, but not a coordlog episode: its header says '{printable}';"
+            " `coordlog import` takes what ROS 2 wrote"
         )
 
 
