@@ -39,6 +39,7 @@ SUFFIXES = {
     ".h5": "HDF5 files",
     ".hdf5": "HDF5 files",
     ".parquet": "Parquet files",
+    ".csv": "CSV tables",
 }
 """Logs of other programs that `coordlog import` takes, by the ends of their names."""
 
@@ -99,5 +100,5 @@ def _text(head: bytes) -> str:
     lines = text.splitlines()[:3]
     commas = {line.count(",") for line in lines}
     if len(lines) > 1 and len(commas) == 1 and commas.pop() > 0:
-        return f"a CSV table, not an episode: {_ARRAYS}"
+        return f"a CSV table, not an episode: {_IMPORT}"
     return "a text, not an episode" if text.isprintable() or "\n" in text else ""

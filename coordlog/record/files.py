@@ -74,6 +74,21 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
     )
 
 
+def recovered_before(part: Path) -> Path | None:
+    """The finished episode beside a part file that was made of it; None if there is none.
+
+    Both begin with one header, whose id is that of a single recording.
+    """
+    from coordlog.record.reader import read_header, read_summary
+
+    target = part.with_suffix("")
+    try:
+        made = target.is_file() and read_summary(target).header == read_header(part)
+    except CoordlogError:
+        return None
+    return target if made else None
+
+
 def nothing_found(
     given: Iterable[File], files: Files, *, wanted: str = "", skipped: Iterable[Skipped] = ()
 ) -> CoordlogError:
@@ -208,10 +223,10 @@ class _Walk:
             self.skip(path, "cannot read: Permission denied")
         elif path.name.startswith(_APPLE) and recognise(_head(path)).startswith("an AppleDouble"):
             self.skip(path, recognise(_head(path)))
-        elif path.name.endswith(PART):
-            self.parts.append(path)
-        else:
+        elif not path.name.endswith(PART):
             self._paths.append(path)
+        elif recovered_before(path) is None:
+            self.parts.append(path)
 
     def skip(self, path: Path, reason: str) -> None:
         """Leave something out, and remember why."""

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from test_reader import bad_files, foreign_mcap
+from tests.record.test_reader import bad_files, foreign_mcap
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_attachments, read_episode, read_header
