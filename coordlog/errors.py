@@ -87,8 +87,7 @@ def missing_extra(error: ModuleNotFoundError) -> ConfigError | None:
     if library not in EXTRA_OF:
         return None
     return ConfigError(
-        f"this needs {library}, which is not installed: "
-        f"pip install 'coordlog[{EXTRA_OF[library]}]'"
+        f"this needs {library}, which is not installed: pip install 'coordlog[{EXTRA_OF[library]}]'"
     )
 
 
