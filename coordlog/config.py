@@ -82,7 +82,7 @@ def parse_assignment(text: str) -> tuple[str, str, Any]:
     """
     key, equals, value = text.partition("=")
     section, dot, name = key.strip().partition(".")
-    if not (equals and dot and name):
+    if not (equals and section and dot and name):
         raise ConfigError(f"--set: expected section.key=value, got {text!r}")
     try:
         return section, name, tomllib.loads(f"value = {value}")["value"]
