@@ -24,7 +24,13 @@ from coordlog.commands import (
     train,
     view,
 )
-from coordlog.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, CoordlogError
+from coordlog.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    CoordlogError,
+    missing_extra,
+)
 from coordlog.version import __version__
 
 DEBUG = "COORDLOG_DEBUG"
@@ -94,7 +100,10 @@ def _unforeseen(error: Exception) -> int:
     if isinstance(error, BrokenPipeError):
         terminal.forsake(sys.stdout)
         return EXIT_OK
-    if isinstance(error, OSError):  # a disk that is full, a device that is gone
+    missing = missing_extra(error) if isinstance(error, ModuleNotFoundError) else None
+    if missing is not None:
+        terminal.complain(missing)
+    elif isinstance(error, OSError):  # a disk that is full, a device that is gone
         where = f"{error.filename}: " if error.filename else ""
         terminal.complain(f"{where}{error.strerror or error}")
     elif isinstance(error, MemoryError):

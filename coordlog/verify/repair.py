@@ -93,7 +93,6 @@ def recover(path: File, out: File | None = None) -> Recovered:
     """
     source = FilePath(path)
     target = target_of(source) if out is None else FilePath(out)
-    refuse_existing(target)
     draft = target.with_name(target.name + DRAFT)
     with locked(source) as ours:
         if not ours:
@@ -101,6 +100,7 @@ def recover(path: File, out: File | None = None) -> Recovered:
                 f"{source}: is being written or recovered by another process; wait for its end"
             )
         data = load(path)
+        refuse_existing(target)
         _tidy(draft)
         try:
             with naming(path):

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from mcap.opcode import Opcode
-from test_reader import bad_files
+from tests.record.test_reader import bad_files
 
 from coordlog.errors import FormatError, SpecError, StorageError, TruncatedError
 from coordlog.record import dataset

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_recover import assert_prefix
+from tests.verify.test_repair import assert_prefix
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_episode
