@@ -22,6 +22,25 @@ from coordlog.errors import ConfigError, StorageError
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK = "run.json", "data.lock"
+MOST = 16 << 20
+"""Largest run.json that is read [bytes]; ours have 20 kB."""
+NEEDED = ("scene", "mode", "settings", "seed")
+KINDS = {
+    "scene": str,
+    "mode": str,
+    "settings": dict,
+    "seed": int,
+    "env": dict,
+    "recorder": str,
+    "where": str,
+    "data": str,
+    "envs": int,
+}
+TABLES = (
+    *("network", "learner", "behaviour", "noise", "replay", "loop"),
+    *("config", "reward", "robot", "layout"),
+)
+"""Entries of settings and env that are tables."""
 MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data")
 """Keys of run.json that a resumed run may not change."""
 
@@ -68,20 +87,50 @@ def recall(folder: Path) -> Json:
 
     Raises:
         StorageError: if there is no run in the folder.
-        ConfigError: if its run.json is damaged.
+        ConfigError: if its run.json is damaged, or not of a run.
     """
+    path = folder / RUN
     try:
-        said: Json = json.loads((folder / RUN).read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        with path.open("rb") as stream:
+            text = stream.read(MOST + 1)
+    except (FileNotFoundError, NotADirectoryError):
         raise StorageError(
             f"{folder}: holds no run: expected a folder with {RUN}, found none"
         ) from None
     except OSError as error:
-        raise StorageError(f"{folder / RUN}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise ConfigError(f"{folder / RUN}: expected JSON: {error}") from error
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(text) > MOST:
+        raise ConfigError(f"{path}: expected at most {MOST:,} bytes, got more: not of a run")
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = "too deep" if isinstance(error, RecursionError) else str(error)
+        raise ConfigError(f"{path}: expected JSON: {reason}") from None
     if not isinstance(said, dict):
-        raise ConfigError(f"{folder / RUN}: expected a JSON object, got {str(said)[:40]}")
+        raise ConfigError(f"{path}: expected a JSON object, got {str(said)[:40]}")
+    return _checked(path, said)
+
+
+def _checked(path: Path, said: Json) -> Json:
+    """The record of a run, if its entries are what they should be.
+
+    Raises:
+        ConfigError: naming the first that is not.
+    """
+    missing = [key for key in NEEDED if key not in said]
+    if missing:
+        raise ConfigError(
+            f"{path}: expected what a run was about, {', '.join(missing)} missing; is it of another program?"
+        )
+    for key, kind in KINDS.items():
+        if key in said and type(said[key]) is not kind:
+            raise ConfigError(
+                f"{path}: '{key}': expected {kind.__name__}, got {str(said[key])[:40]!r}"
+            )
+    sections = [*said["settings"].items(), *said.get("env", {}).items()]
+    for name, section in sections:
+        if name in TABLES and type(section) is not dict:
+            raise ConfigError(f"{path}: '{name}': expected a table, got {str(section)[:40]!r}")
     return said
 
 
