@@ -123,6 +123,7 @@ def train(
     from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
+    from coordlog.train.run import held
     from coordlog.train.task import Hooks
 
     given = {
@@ -176,6 +177,7 @@ def train(
             "rewards are recomputed from logged distances and flags: the logs were recorded with other constants"
         )
     with ExitStack() as stack:
+        stack.enter_context(held(folder))
         interrupted = stack.enter_context(terminal.interruptible())
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None

@@ -7,21 +7,27 @@ checkpoint.safetensors   everything a resumed run needs, with buffer/
 policy.safetensors       the policy as of the last checkpoint; best.safetensors: the best one
 evaluated episodes/                every live and every evaluation episode
 tensorboard/             event files, if asked for
+.held                    which process trains, or did last; the lock on it is the kernel's
 """
 
 from __future__ import annotations
 
 import json
+import os
+import platform
 import subprocess
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError
+from coordlog.record.storage import lock
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
-RUN, LOCK = "run.json", "data.lock"
+RUN, LOCK, HELD = "run.json", "data.lock", ".held"
 MOST = 16 << 20
 """Largest run.json that is read [bytes]; ours have 20 kB."""
 NEEDED = ("scene", "mode", "settings", "seed")
@@ -68,6 +74,38 @@ def begin(folder: Path, said: Json, *, data: Sequence[tuple[str, str]]) -> None:
         )
     except OSError as error:
         raise StorageError(f"{folder}: cannot begin a run: {error.strerror}") from error
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep every other process from training into a run folder while the context lasts.
+
+    The kernel lets go of it when this process ends, however it ends. Where the file system has no
+    locks nothing is kept from anybody.
+
+    Raises:
+        StorageError: if another process holds it, saying which; or if the folder cannot be written.
+    """
+    path = folder / HELD
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot hold the run: {error.strerror}") from error
+    try:
+        if not lock(fd):
+            holder = os.pread(fd, 200, 0).decode("utf-8", "replace").strip()
+            raise StorageError(
+                f"{folder}: this run is being trained by another process, {holder or 'unknown'};"
+                " wait for its end, or choose another --out"
+            )
+        now = time.strftime("%Y-%m-%d %H:%M:%S")
+        with suppress(OSError):  # who holds it is a courtesy
+            os.ftruncate(fd, 0)
+            os.pwrite(fd, f"pid {os.getpid()} on {platform.node()} since {now}\n".encode(), 0)
+        yield
+    finally:
+        os.close(fd)
 
 
 def require_new(folder: Path) -> None:
