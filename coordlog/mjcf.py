@@ -14,6 +14,7 @@ import numpy as np
 import zstandard
 
 from coordlog.errors import ConfigError, FormatError, SimulationError
+from coordlog.modest import is_plain, require_modest
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import (
@@ -277,35 +278,45 @@ def _numbers(values: tuple[float, ...]) -> str:
 def load_model(xml: bytes | None, mjb: bytes | None) -> mujoco.MjModel:
     """Compile the model a log carries, from its attachments as they lie in the file.
 
-    The text is preferred: it compiles to the same model, is not bound to one MuJoCo version, and
-    can be judged before it is used.
+    The text can be judged before it is used; a compiled model (MJB) cannot, and a damaged one
+    crashes the process, so it is never loaded.
 
     Args:
         xml: MJCF text, one zstd frame.
-        mjb: MJB, one zstd frame; used when there is no text.
+        mjb: MJB of old files; only mentioned where there is no text.
 
     Raises:
-        FormatError: if there is neither, if one is damaged or larger than MAX_BYTES, if the text
+        FormatError: if there is no text, if it is damaged or larger than MAX_BYTES, if the text
             asks for other files, or if MuJoCo refuses it.
     """
     silence()
-    if xml is None and mjb is None:
+    if xml is None:
         raise FormatError(
-            "no model attached: expected the scene as MJCF text or MJB in the file; record it again"
+            "no model attached: expected the scene as MJCF text in the file"
+            + ("; it has an MJB, which is not loaded: it cannot be judged" if mjb else "")
         )
     try:
-        if xml is not None:
-            return mujoco.MjModel.from_xml_string(
-                self_contained(_expand(xml, "the attached MJCF text"))
-            )
-        return mujoco.MjModel.from_binary_path(
-            "model.mjb", {"model.mjb": _expand(mjb or b"", "the attached MJB")}
+        return mujoco.MjModel.from_xml_string(
+            self_contained(_expand(xml, "the attached MJCF text"))
         )
     except ValueError as error:
         reason = str(error).splitlines()[0]
         raise FormatError(
             f"the attached model does not load in MuJoCo {mujoco.__version__}, which says: {reason}"
         ) from error
+
+
+def is_plain_model(xml: bytes | None) -> bool:
+    """Whether an attached model is small and simple enough to be compiled in this process.
+
+    True of what will be refused anyway.
+    """
+    if xml is None:
+        return True
+    try:
+        return is_plain(_parse(_expand(xml, "the attached MJCF text")))
+    except FormatError:
+        return True
 
 
 def self_contained(text: bytes) -> str:
@@ -322,6 +333,7 @@ def self_contained(text: bytes) -> str:
         raise FormatError(
             f"the attached model: expected an MJCF document <{_ROOT}>, got <{root.tag}>"
         )
+    require_modest(root)
     for element in root.iter():
         if element.tag in _READS_FILES:
             raise FormatError(

@@ -125,8 +125,12 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
     if level != "replay":
         return Checked(findings, {}, len(paths), 0)
     from coordlog.verify.physics import check_replay
+    from coordlog.verify.trial import runnable
 
     damaged = {item.path for item in findings if item.level == "file"}
+    tried = runnable([path for path in paths if str(path) not in damaged])
+    findings += tried
+    damaged |= {item.path for item in tried}
     replays = check_replay([path for path in paths if str(path) not in damaged])
     return Checked(findings + replays.findings, replays.inexact, len(paths), replays.steps)
 
