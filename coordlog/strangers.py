@@ -6,6 +6,8 @@ git-lfs/docs/spec.md.
 
 from __future__ import annotations
 
+import codecs
+
 HEAD = 4096
 """Bytes that are enough to know a stranger by."""
 
@@ -87,7 +89,7 @@ def _archive(head: bytes) -> str:
 def _text(head: bytes) -> str:
     """A text of a known kind."""
     try:
-        text = head[: head.rfind(b"\n") + 1 or len(head)].decode("utf-8-sig")
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(head)  # a cut letter is none
     except UnicodeDecodeError:
         return ""
     start = text.lstrip()[:200].lower()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
 
 
-CLOSED = {
+CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "enable_external_access": "false",
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
@@ -135,7 +135,7 @@ def _tree(connection: DuckDBPyConnection, query: str) -> dict[str, Any]:
         ValueError: if it is none.
     """
     row = connection.execute("select json_serialize_sql(?::varchar)", [query]).fetchone()
-    parsed = json.loads(row[0]) if row else {"error": True}
+    parsed: Any = json.loads(row[0]) if row else {"error": True}
     if parsed.get("error"):
         raise ValueError(str(parsed.get("error_message", "it cannot be parsed")))
     (statement,) = parsed["statements"]

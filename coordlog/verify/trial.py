@@ -33,6 +33,7 @@ BUDGET = 60.0
 """Time that replaying one log may take [s], besides SLOWER times what it lasts itself."""
 SLOWER = 30.0
 STEPS = 4
+COMMAND = ["-m", "coordlog.verify.trial"]
 
 
 def runnable(paths: Sequence[File]) -> list[Finding]:
@@ -73,11 +74,10 @@ def _start(attached: Mapping[str, bytes]) -> dict[str, bytes]:
 
 def _in_a_child(attached: Mapping[str, bytes]) -> tuple[float, float] | str:
     """Timestep and cost of a step [s], or why there is none."""
-    command = [sys.executable, "-m", "coordlog.verify.trial"]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
-            command,
+            [sys.executable, *COMMAND],
             input=pickle.dumps(dict(attached)),
             capture_output=True,
             timeout=4 * SECONDS,

@@ -32,9 +32,9 @@ def test_a_run_that_is_being_trained_says_by_whom_and_is_free_when_its_holder_di
     ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
-        with pytest.raises(StorageError, match=f"trained by another process, pid {holder.pid} on"):
-            with held(tmp_path / "run"):
-                pass
+        by = f"trained by another process, pid {holder.pid} on"
+        with pytest.raises(StorageError, match=by), held(tmp_path / "run"):
+            pass
         holder.kill()  # no clean end: the kernel lets go all the same
         holder.wait()
     with held(tmp_path / "run"):
