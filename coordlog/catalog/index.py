@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
@@ -146,7 +147,7 @@ class Catalog:
         ]
         gone = [name for name in known if name not in listed]
         changed = sum(entry.name in known for entry in fresh)
-        self._describe(fresh, gone, supersedes=bool(changed or gone), run=run)
+        self._describe(fresh, gone, run=run)
         change = Change(len(fresh) - changed, changed, len(gone), tuple(self._notes))
         self._notes = []
         return change
@@ -160,7 +161,7 @@ class Catalog:
             got = hashlib.sha256(contents_of(self.store.path(name))).hexdigest()
             if got != wanted:
                 wrong.append((Mismatch(name, wanted, got), Entry(name, size, mtime)))
-        self._describe([entry for _, entry in wrong], [], supersedes=True, run=serial)
+        self._describe([entry for _, entry in wrong], [], run=serial)
         return [mismatch for mismatch, _ in wrong]
 
     def compact(self) -> None:
@@ -171,7 +172,7 @@ class Catalog:
         """
         parts, rows = self.parts(), self.rows()
         if len(parts) > 1:
-            self._write(rows, supersedes=True)
+            self._write(rows)
             for name in parts:
                 self._place.remove(name)
 
@@ -182,69 +183,63 @@ class Catalog:
         self._rows = None
         return self.refresh(run=run)
 
-    def _describe(
-        self, fresh: Sequence[Entry], gone: Sequence[str], *, supersedes: bool, run: Run
-    ) -> None:
+    def _describe(self, fresh: Sequence[Entry], gone: Sequence[str], *, run: Run) -> None:
         if not fresh and not gone:
             return
         jobs = [Job(self.root, tuple(group)) for group in batches(fresh, GROUP)]
         found = table_of(row for rows in run(described, jobs) for row in rows)
         added = pa.concat_tables([found, tombstones(gone)]).sort_by("path")
-        self._rows = newest([(self.rows(), False), (added, supersedes)])
+        self._rows = newest([self.rows(), added])
         try:
-            self._write(added, supersedes=supersedes)
+            self._write(added)
             for name in self._broken:
                 self._place.remove(name)
             self._broken = []
         except StorageError as error:
             self._notes.append(f"the catalogue is not kept: {error}")
 
-    def _write(self, rows: pa.Table, *, supersedes: bool) -> None:
+    def _write(self, rows: pa.Table) -> None:
         """Write one more file of the catalogue."""
         numbers = [int(name.split("-")[-2]) for name in self.parts()]
         name = f"part-{max(numbers, default=0) + 1:06d}-{uuid.uuid4().hex[:8]}.parquet"
-        about = {"coordlog_catalog": EDITION, "supersedes": str(int(supersedes))}
+        about = {"coordlog_catalog": EDITION}
         sink = io.BytesIO()
         pq.write_table(rows.replace_schema_metadata(about), sink, compression="zstd")
         self._place.create(f"{FOLDER}/{name}", sink.getvalue())
 
-    def _read(self, name: str) -> tuple[pa.Table, bool]:
-        """One file of the catalogue, and whether its rows may be about paths of earlier ones."""
+    def _read(self, name: str) -> pa.Table:
+        """One file of the catalogue; an empty table for one that cannot be used."""
         try:
             table = pq.read_table(pa.BufferReader(self._place.read(name)))
             about = table.schema.metadata or {}
             edition = about.get(b"coordlog_catalog", b"none").decode()
             if edition != EDITION or table.schema.names != KEPT.names:
                 raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
-            return table.cast(KEPT), about.get(b"supersedes") != b"0"
+            return table.cast(KEPT)
         except (pa.ArrowInvalid, OSError, ValueError) as error:
             self._notes.append(
                 f"{self.root}/{name}: cannot be used and is written anew: "
                 f"{str(error).splitlines()[0]}"
             )
             self._broken.append(name)
-            return KEPT.empty_table(), False
+            return KEPT.empty_table()
 
 
-def newest(parts: Iterable[tuple[pa.Table, bool]]) -> pa.Table:
+def newest(parts: Iterable[pa.Table]) -> pa.Table:
     """The last row of every path, by path, without those that are gone.
 
     Args:
-        parts: Tables of `KEPT`, oldest first; whether each may be about paths of those before it.
+        parts: Tables of `KEPT`, oldest first.
     """
-    tables: list[pa.Table] = []
-    for table, supersedes in parts:
-        if supersedes:
-            paths = table.column("path").combine_chunks()
-            tables = [
-                each.filter(pc.invert(pc.is_in(each.column("path"), value_set=paths)))
-                for each in tables
-            ]
-        tables.append(table)
+    tables = list(parts)
     if not tables:
         return KEPT.empty_table()
-    # The first file of a catalogue, and a compact one, are written in order.
-    rows = tables[0] if len(tables) == 1 else pa.concat_tables(tables).sort_by("path")
+    rows = pa.concat_tables(tables)
+    if len(tables) > 1:
+        codes = np.asarray(rows.column("path").combine_chunks().dictionary_encode().indices)
+        last = np.zeros(codes.max(initial=-1) + 1, np.int64)
+        last[codes] = np.arange(len(codes))
+        rows = rows.take(pa.array(np.sort(last))).sort_by("path")
     if rows.column("gone").null_count < len(rows):
         rows = rows.filter(pc.is_null(rows.column("gone")))
     return rows

@@ -15,7 +15,6 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 
 from coordlog.catalog.gather import Gathered
 from coordlog.catalog.query import EXTRA, ask
@@ -225,12 +224,12 @@ def _figures(gathered: Gathered) -> dict[str, float | None]:
 
 
 def _settings(a: Gathered, b: Gathered) -> dict[str, tuple[list[Any], list[Any]]]:
-    found = {}
-    for name in SETTINGS:
-        values: list[list[Any]] = []
-        for each in (a, b):
-            table: pa.Table = ask(f'select distinct "{name}" as value from episodes', each.sources)
-            values.append(sorted(table.column("value").to_pylist(), key=str))
-        if values[0] != values[1]:
-            found[name] = (values[0], values[1])
-    return found
+    columns = ", ".join(f'list_sort(list(distinct "{name}")) as "{name}"' for name in SETTINGS)
+    first, second = (
+        ask(f"select {columns} from episodes", each.sources).to_pylist()[0] for each in (a, b)
+    )
+    return {
+        name: (first[name] or [], second[name] or [])
+        for name in SETTINGS
+        if first[name] != second[name]
+    }
