@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from coordlog.config import build
 from coordlog.errors import ConfigError, unknown
 from coordlog.path import Floats
 
@@ -28,7 +28,7 @@ class Config:
 
     "max": half a period in the whole path, below which little is left to gain.
     """
-    max_deviation: float | Sequence[float] | None = None
+    max_deviation: float | tuple[float, ...] | None = None
     """Largest distance of the path from any sample, in the unit of each joint: one number for all,
     or one for each. None: as the rules allow."""
     clearance: float = 0.0
@@ -82,13 +82,12 @@ class Config:
         """A config from keywords.
 
         Raises:
-            ConfigError: if a name is not an option, or a value out of its range.
+            ConfigError: if a name is not an option, or a value of another type or out of its range.
         """
-        names = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in names:
-                raise unknown("option", name, names)
-        return cls(**options)
+        farthest = options.get("max_deviation")
+        if isinstance(farthest, np.ndarray):
+            options["max_deviation"] = farthest.tolist()
+        return build(cls, options, what="option")
 
     def farthest(self, n_j: int) -> Floats:
         """`max_deviation` of each joint, (n_j,), infinite where there is none.
