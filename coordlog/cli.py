@@ -13,7 +13,18 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, export, info, plot, record, recover, scenes, smooth, train, view
+from coordlog.commands import (
+    check,
+    export,
+    info,
+    plot,
+    record,
+    recover,
+    scenes,
+    smooth,
+    train,
+    view,
+)
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.version import __version__

@@ -41,9 +41,7 @@ def export(
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
     ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace what is at --out.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is at --out.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
 ) -> None:
     """Write episodes as a LeRobot, Minari or robomimic data set, ROS 2 bags, Parquet or CSV.
@@ -121,9 +119,7 @@ def _matching(found: list[Entry], where: str) -> list[Entry]:
     connection = duckdb.connect(config={"enable_external_access": "false"})
     connection.register("episodes", rows)
     try:
-        kept = connection.execute(
-            f"select row from episodes where {where} order by row"
-        ).fetchall()
+        kept = connection.execute(f"select row from episodes where {where} order by row").fetchall()
     except duckdb.Error as error:
         names = ", ".join(found[0].row)
         raise ConfigError(

@@ -22,3 +22,5 @@ FORMATS = {
     "csv": "coordlog.exchange.csv",
 }
 """Module of each format that can be written; it has `write_block` and `assemble`."""
+WITH_IMAGES = ("lerobot", "lerobot2.1", "robomimic")
+"""Formats that can hold what a camera sees."""

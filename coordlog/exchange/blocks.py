@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError, unknown
-from coordlog.exchange import FORMATS
+from coordlog.exchange import FORMATS, WITH_IMAGES
 from coordlog.exchange.source import Entry, Loaded, task_text
 from coordlog.parallel import mapped
 from coordlog.record.storage import translated
@@ -33,6 +33,8 @@ from coordlog.version import __version__
 BLOCK = 256
 """Episodes in a block: some seconds of work, and some ten megabytes of state."""
 BLOCK_WITH_IMAGES = 16
+STORAGES = ("mcap", "sqlite3")
+"""Of a ROS 2 bag."""
 MARKER = "coordlog_export.json"
 """File in the finished set that says which episodes it was made of."""
 _JOURNALS = "journals"
@@ -121,6 +123,10 @@ def export(
         StorageError: if something else is at `out`, or the file system refuses.
     """
     module = format_of(options.to)
+    if options.cameras and options.to not in WITH_IMAGES:
+        raise ConfigError(f"--to {options.to} holds no images; these do: {', '.join(WITH_IMAGES)}")
+    if options.storage not in STORAGES:
+        raise unknown("storage", options.storage, STORAGES)
     plan = _plan(chosen, options)
     done = Done(len(chosen), sum(entry.result.length for entry in chosen), 0, 0, True)
     if _is_there(out, plan) and not force:
@@ -152,7 +158,7 @@ def format_of(name: str) -> Format:
     if name not in FORMATS:
         raise unknown("format", name, FORMATS)
     try:
-        return importlib.import_module(FORMATS[name])  # type: ignore[return-value]
+        return importlib.import_module(FORMATS[name])
     except ModuleNotFoundError as error:
         raise ConfigError(
             f"--to {name} needs {error.name}: pip install 'coordlog[exchange]'"
@@ -173,6 +179,8 @@ def _plan(chosen: Sequence[Entry], options: Options) -> Json:
         raise ConfigError(
             f"{empty[0]}: an episode without a step, which no other format can hold; leave it out with --where 'length > 0'"
         )
+    if options.to == "rosbag2":
+        _require_own_names(chosen)
     digest = hashlib.sha256()
     for entry in chosen:
         size = entry.path.stat().st_size
@@ -183,6 +191,17 @@ def _plan(chosen: Sequence[Entry], options: Options) -> Json:
         "of": digest.hexdigest(),
         "coordlog_version": __version__,
     }
+
+
+def _require_own_names(chosen: Sequence[Entry]) -> None:
+    """A bag is named as its log: no two may have one name."""
+    seen: dict[str, Path] = {}
+    for entry in chosen:
+        other = seen.setdefault(entry.path.stem, entry.path)
+        if other is not entry.path:
+            raise ConfigError(
+                f"{entry.path} and {other} would both become the bag {entry.path.stem}; export them into separate folders"
+            )
 
 
 def _is_there(out: Path, plan: Json) -> bool:
@@ -232,7 +251,7 @@ def _journal(block: Block) -> Path:
 
 def _write(block: Block, *, name: str) -> int:
     """Write one block and then its journal; runs in a process of its own."""
-    module: Format = importlib.import_module(name)  # type: ignore[assignment]
+    module: Format = importlib.import_module(name)
     with translated(block.folder, "write"):
         journal = json.dumps(module.write_block(block), ensure_ascii=False)
         path = _journal(block)

@@ -7,129 +7,24 @@ display, through EGL or OSMesa.
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Mapping
-from fractions import Fraction
-from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from copy import copy
 
 import mujoco
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
+from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array
 from coordlog.errors import ConfigError, FormatError, SimulationError, unknown
-from coordlog.exchange import statistics
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
 from coordlog.mjcf import load_model
 from coordlog.sim.physics import STATE
 from coordlog.sim.replay import Log, exact_here, replay
 
-CODEC, PIXELS, CRF, GOP = "libsvtav1", "yuv420p", 30, 2
-"""LeRobot's own defaults: AV1, an intra frame every second frame for random access."""
-SAMPLED = 100
-"""Frames of an episode that its image statistics look at, at most."""
 _FREE = re.compile(r"pos=(?P<pos>[-\d.,e]+)\s+lookat=(?P<lookat>[-\d.,e]+)")
-
-
-class Shown(NamedTuple):
-    """Where an episode lies in a camera's video, and the statistics of its images."""
-
-    start: float
-    """s"""
-    stop: float
-    """s"""
-    stats: statistics.Stats
-
-
-class Videos:
-    """One video per camera, of consecutive episodes; a context manager.
-
-    Example:
-        `with Videos({"overhead": path}, options) as videos: videos.add(loaded)`
-    """
-
-    def __init__(self, paths: Mapping[str, Path], options: Options) -> None:
-        self._paths, self._options = paths, options
-        self._files: dict[str, tuple[Any, Any]] = {}
-        self._frames = 0
-        self._fps = Fraction(1)
-
-    def add(self, loaded: Loaded) -> dict[str, Shown]:
-        """Render the T states before the actions of an episode and append them.
-
-        Raises:
-            FormatError: if the log does not come back bit for bit.
-        """
-        if not self._paths:
-            return {}
-        if not self._files:
-            self._open(loaded)
-        length = len(loaded.episode)
-        sampled = set(np.linspace(0, length - 1, min(length, SAMPLED)).astype(int).tolist())
-        kept: dict[str, list[Array]] = {camera: [] for camera in self._paths}
-        for step, images in enumerate(frames(loaded, self._options)):
-            if step == length:
-                break
-            for camera, image in images.items():
-                self._encode(camera, image, self._frames + step)
-                if step in sampled:
-                    kept[camera].append(image)
-        start = float(self._frames / self._fps)
-        self._frames += length
-        stop = float(self._frames / self._fps)
-        return {
-            camera: Shown(start, stop, statistics.of_images(images))
-            for camera, images in kept.items()
-        }
-
-    def _open(self, loaded: Loaded) -> None:
-        import av
-
-        period = float(loaded.episode.header.episode["control_period"])
-        self._fps = Fraction(1 / period).limit_denominator(100_000)
-        for camera, path in self._paths.items():
-            file = av.open(str(path), "w")
-            options = {"crf": str(CRF), "g": str(GOP)}
-            stream = file.add_stream(CODEC, rate=self._fps, options=options)
-            stream.width, stream.height = self._options.width, self._options.height
-            stream.pix_fmt = PIXELS
-            stream.time_base = 1 / self._fps
-            self._files[camera] = (file, stream)
-
-    def _encode(self, camera: str, image: Array, number: int) -> None:
-        import av
-
-        file, stream = self._files[camera]
-        frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-        frame.pts, frame.time_base = number, 1 / self._fps
-        for packet in stream.encode(frame):
-            file.mux(packet)
-
-    def __enter__(self) -> Videos:
-        """Silence the encoder, which writes its banner to standard error."""
-        if self._paths:
-            import os
-
-            import av
-
-            os.environ.setdefault("SVT_LOG", "1")
-            av.logging.set_level(av.logging.ERROR)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Finish the files; after an error just let go of them."""
-        for file, stream in self._files.values():
-            if error is None:
-                for packet in stream.encode(None):
-                    file.mux(packet)
-            file.close()
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
@@ -144,27 +39,74 @@ def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
     start = np.frombuffer(loaded.attachments.get(INITIAL_STATE, b""), np.float64)
     require_exact(loaded, model, start)
     views = {camera: view_of(camera, model) for camera in options.cameras}
-    for side, name in ((options.width, "offwidth"), (options.height, "offheight")):
-        setattr(model.vis.global_, name, max(side, getattr(model.vis.global_, name)))
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, start, STATE)
-    try:
-        renderer = mujoco.Renderer(model, options.height, options.width)
-    except (RuntimeError, AttributeError, mujoco.FatalError) as error:
-        raise SimulationError(
-            f"cannot render here: {error}; without a display set MUJOCO_GL=egl or MUJOCO_GL=osmesa"
-        ) from error
-    with renderer:
+    with Canvas(model, options.width, options.height) as canvas:
         for qpos in loaded.episode.qpos:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            images = {}
-            for camera, view in views.items():
-                renderer.update_scene(data, camera=view)
-                images[camera] = renderer.render().copy()
-            yield images
+            yield {camera: canvas.shown(data, view) for camera, view in views.items()}
+
+
+class Canvas:
+    """An offscreen image of a model, the same buffers for every state; a context manager.
+
+    Example:
+        `with Canvas(model, 224, 224) as canvas: image = canvas.shown(data, view)`
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        """Make the graphics context: MUJOCO_GL's choice, or EGL where there is no display.
+
+        Raises:
+            SimulationError: if there is none to be had.
+        """
+        self._model = copy(model)
+        self._model.vis.global_.offwidth = width
+        self._model.vis.global_.offheight = height
+        self._area = mujoco.MjrRect(0, 0, width, height)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=10_000)
+        self._options = mujoco.MjvOption()
+        self._image = np.empty((height, width, 3), np.uint8)
+        try:
+            if "MUJOCO_GL" in os.environ or any(name in os.environ for name in _DISPLAYS):
+                from mujoco.gl_context import GLContext
+            else:
+                from mujoco.egl import GLContext
+            self._graphics = GLContext(width, height)
+            self._graphics.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
+            raise SimulationError(
+                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and libgl1-mesa-dri) or set MUJOCO_GL"
+            ) from error
+
+    def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> Array:
+        """One state through one camera, RGB (height, width, 3) uint8, top row first."""
+        mujoco.mjv_updateScene(
+            self._model,
+            data,
+            self._options,
+            None,
+            view,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._scene,
+        )
+        mujoco.mjr_render(self._area, self._scene, self._context)
+        mujoco.mjr_readPixels(self._image, None, self._area, self._context)
+        return self._image[::-1].copy()
+
+    def __enter__(self) -> Canvas:
+        """For `with`."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the graphics context."""
+        self._context.free()
+        self._graphics.free()
 
 
 def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
@@ -190,7 +132,7 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
             )
 
 
-def view_of(camera: str, model: mujoco.MjModel) -> int | mujoco.MjvCamera:
+def view_of(camera: str, model: mujoco.MjModel) -> mujoco.MjvCamera:
     """A camera of the model by name, or a free one, "pos=x,y,z lookat=x,y,z" [m].
 
     Raises:
@@ -200,12 +142,15 @@ def view_of(camera: str, model: mujoco.MjModel) -> int | mujoco.MjvCamera:
     if found is None:
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
         if number >= 0:
-            return int(number)
+            view = mujoco.MjvCamera()
+            view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            view.fixedcamid = number
+            return view
         known = [model.camera(i).name for i in range(model.ncam)]
         if known:
             raise unknown("camera", camera, known)
         raise ConfigError(
-            f'unknown camera \'{camera}\': the model has none; place one with --camera "pos=1.5,-1,1.2 lookat=0,0,0.8"'
+            f"unknown camera '{camera}': the model has none; place one with --camera \"pos=1.5,-1,1.2 lookat=0,0,0.8\""
         )
     try:
         place, target = (np.array(found[key].split(","), float) for key in ("pos", "lookat"))
@@ -228,19 +173,3 @@ def view_of(camera: str, model: mujoco.MjModel) -> int | mujoco.MjvCamera:
 def label(camera: str) -> str:
     """A camera's name as part of a feature's: free cameras by their place."""
     return re.sub(r"[^A-Za-z0-9]+", "_", camera.replace("-", "m")).strip("_")
-
-
-def feature(width: int, height: int, fps: float) -> Json:
-    """The declaration of a video in LeRobot's info.json."""
-    info = {
-        "video.height": height,
-        "video.width": width,
-        "video.codec": "av1",
-        "video.pix_fmt": PIXELS,
-        "video.is_depth_map": False,
-        "video.fps": fps,
-        "video.channels": 3,
-        "has_audio": False,
-    }
-    names = ["height", "width", "channels"]
-    return {"dtype": "video", "shape": [height, width, 3], "names": names, "info": info}

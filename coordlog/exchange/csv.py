@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from coordlog.episode import Json
-from coordlog.errors import ConfigError
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.columns import columns
 from coordlog.exchange.source import Loaded
@@ -25,8 +24,6 @@ _NAMES = ("steps", "episodes")
 
 def write_block(block: Block) -> Json:
     """The rows of one block, in two files with a header each."""
-    if block.options.cameras:
-        raise ConfigError("--to csv holds no images; export them --to lerobot")
     rows = []
     steps = _part(block.folder, "steps", block.number)
     steps.parent.mkdir(parents=True, exist_ok=True)

@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from coordlog.episode import Array, Json
-from coordlog.exchange import cameras, statistics
+from coordlog.exchange import cameras, statistics, video
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.columns import Column, columns
 from coordlog.exchange.source import Loaded, task_text
@@ -93,7 +93,7 @@ def declared(loaded: Loaded, options: Options) -> dict[str, Json]:
         found[name] = {"dtype": str(values.dtype), "shape": width, "names": names}
     fps = fps_of(loaded.episode.header.episode)
     for camera in options.cameras:
-        found[camera_key(camera)] = cameras.feature(options.width, options.height, fps)
+        found[camera_key(camera)] = video.feature(options.width, options.height, fps)
     for name in INDEXES:
         kind = "float32" if name == "timestamp" else "int64"
         found[name] = {"dtype": kind, "shape": [1], "names": None}
@@ -127,7 +127,7 @@ def write_block(block: Block) -> Json:
     frame, kept, rows = block.first_frame, [], []
     journal: Json = {"tasks": {}, "frames": 0, "robot": "", "features": {}, "fps": 0}
     writer: pq.ParquetWriter | None = None
-    with cameras.Videos(_videos(block, place), block.options) as videos:
+    with video.Videos(_videos(block, place), block.options) as videos:
         for number, loaded in enumerate(block.loaded(), block.first_episode):
             header = loaded.episode.header
             text = task_text(header)
@@ -143,7 +143,7 @@ def write_block(block: Block) -> Json:
             writer.write_table(table, row_group_size=max(len(table), 1))
             stats = statistics.of_columns(own | index)
             shown = videos.add(loaded)
-            stats |= {camera_key(camera): video.stats for camera, video in shown.items()}
+            stats |= {camera_key(camera): film.stats for camera, film in shown.items()}
             kept.append(stats)
             rows.append(_episode_row(loaded, number, frame, text, place, stats, shown))
             journal["tasks"][str(task)] = text
@@ -220,17 +220,17 @@ def _episode_row(
     task: str,
     place: Json,
     stats: Json,
-    shown: Mapping[str, cameras.Shown],
+    shown: Mapping[str, video.Shown],
 ) -> Json:
     length = len(loaded.episode)
     row: Json = {"episode_index": number, "tasks": [task], "length": length}
     row |= {f"data/{key}": value for key, value in place.items()}
     row |= {"dataset_from_index": frame, "dataset_to_index": frame + length}
-    for camera, video in shown.items():
+    for camera, film in shown.items():
         prefix = f"videos/{camera_key(camera)}"
         row |= {f"{prefix}/{key}": value for key, value in place.items()}
-        row[f"{prefix}/from_timestamp"] = video.start
-        row[f"{prefix}/to_timestamp"] = video.stop
+        row[f"{prefix}/from_timestamp"] = film.start
+        row[f"{prefix}/to_timestamp"] = film.stop
     for name, each in stats.items():
         row |= {f"stats/{name}/{key}": value for key, value in each.items()}
     row |= {f"meta/episodes/{key}": value for key, value in place.items()}
@@ -246,9 +246,7 @@ def _rows_table(rows: Sequence[Json]) -> pa.Table:
 
 def _videos(block: Block, place: Json) -> dict[str, Path]:
     return {
-        camera: _made(
-            block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place)
-        )
+        camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
 

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from coordlog.episode import Json
-from coordlog.exchange import cameras, statistics
+from coordlog.exchange import statistics, video
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.lerobot import (
     camera_key,
@@ -54,9 +54,7 @@ def write_block(block: Block) -> Json:
         table = table_of(own | index)
         data = _made(block.folder / DATA_PATH.format(**place))
         pq.write_table(table, data, compression="snappy")
-        stats = {
-            name: each for name, each in statistics.of_columns(own | index).items()
-        } | _filmed(block, loaded, place)
+        stats = dict(statistics.of_columns(own | index).items()) | _filmed(block, loaded, place)
         line = {"episode_index": number, "tasks": [text], "length": len(loaded.episode)}
         last = {
             key: value.tolist() if isinstance(value, np.ndarray) else value
@@ -116,9 +114,9 @@ def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.S
         camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
-    with cameras.Videos(paths, block.options) as videos:
+    with video.Videos(paths, block.options) as videos:
         shown = videos.add(loaded)
-    return {camera_key(camera): video.stats for camera, video in shown.items()}
+    return {camera_key(camera): film.stats for camera, film in shown.items()}
 
 
 def _part(folder: Path, name: str, number: int) -> Path:

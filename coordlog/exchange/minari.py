@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from coordlog.episode import Array, Json
-from coordlog.errors import ConfigError
 from coordlog.exchange import hdf5
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.columns import columns
@@ -34,9 +33,8 @@ NAMESPACE = "coordlog"
 
 def write_block(block: Block) -> Json:
     """One HDF5 file with the groups of a block's episodes."""
-    if block.options.cameras:
-        raise ConfigError("--to minari holds no images yet; export them --to lerobot or robomimic")
-    groups, steps, about = [], 0, {}
+    groups, steps = [], 0
+    about: Json = {}
     with hdf5.created(hdf5.part(block.folder, block.number)) as file:
         for number, loaded in enumerate(block.loaded(), block.first_episode):
             name = f"episode_{number}"

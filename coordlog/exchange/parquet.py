@@ -16,7 +16,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from coordlog.episode import Array, Json
-from coordlog.errors import ConfigError
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.columns import columns
 from coordlog.exchange.source import Loaded
@@ -25,8 +24,6 @@ from coordlog.record.arrow import arrow_array
 
 def write_block(block: Block) -> Json:
     """The two files of one block, a row group of steps for each episode."""
-    if block.options.cameras:
-        raise ConfigError(f"--to {block.options.to} holds no images; export them --to lerobot")
     rows = []
     writer: pq.ParquetWriter | None = None
     for number, loaded in enumerate(block.loaded(), block.first_episode):

@@ -28,7 +28,8 @@ _GYM = 2
 
 def write_block(block: Block) -> Json:
     """One HDF5 file with the demos of a block."""
-    groups, steps, env, splits = [], 0, {}, []
+    groups, splits, steps = [], [], 0
+    env: Json = {}
     with hdf5.created(hdf5.part(block.folder, block.number)) as file:
         for number, loaded in enumerate(block.loaded(), block.first_episode):
             name = f"demo_{number}"
@@ -100,7 +101,7 @@ def _states(known: dict[str, Column]) -> Array:
 
 
 def _env(loaded: Loaded) -> Json:
-    """robomimic wants to know an environment; ours is rebuilt from the log, not by name."""
+    """Robomimic wants to know an environment; ours is rebuilt from the log, not by name."""
     origin = loaded.provenance
     return {
         "env_name": f"coordlog-{origin['scene'] or origin['robot']}",

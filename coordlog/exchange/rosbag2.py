@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -31,7 +31,6 @@ from rosbags.typesys.store import Typestore
 
 from coordlog.episode import Json
 from coordlog.episode import Path as JointPath
-from coordlog.errors import ConfigError, unknown
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.source import Loaded
 from coordlog.record.chunk import definitions, expand, split
@@ -41,7 +40,7 @@ from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, pack, unpack_def
 TRAJECTORY_TOPIC = "/joint_trajectory"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-VERSION = 9
+VERSION: Literal[9] = 9
 PROFILE = "ros2"
 _PREFIX = 31
 """Bytes of an MCAP message record before its payload."""
@@ -59,10 +58,6 @@ class Message(NamedTuple):
 
 def write_block(block: Block) -> Json:
     """A bag for each episode of a block."""
-    if block.options.cameras:
-        raise ConfigError("--to rosbag2 holds no images yet; export them --to lerobot")
-    if block.options.storage not in STORAGES:
-        raise unknown("storage", block.options.storage, STORAGES)
     for loaded in block.loaded():
         target = block.folder / loaded.path.stem
         shutil.rmtree(target, ignore_errors=True)  # half a bag of an interrupted export

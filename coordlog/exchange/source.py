@@ -1,5 +1,6 @@
 """An episode file as an exporter sees it: read once, named, hashed, and its origin as plain
-values."""
+values.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +45,8 @@ class Entry:
     @cached_property
     def row(self) -> Json:
         """What `--where` may ask about, and what says where an exported episode comes from; all
-        but the file's own sha256."""
+        but the file's own sha256.
+        """
         episode, env, policy = self.header.episode, self.header.env, self.header.policy
         lineage = self.header.lineage
         return {
@@ -95,7 +97,8 @@ class Loaded:
 
     def named(self, separator: str = ".") -> Json:
         """The origin for a place where every entry costs time: what people filter by, each under
-        its own name, and all of it as JSON text."""
+        its own name, and all of it as JSON text.
+        """
         chosen = {f"coordlog{separator}{key}": self.provenance[key] for key in _FILTERED}
         text = json.dumps(self.provenance, ensure_ascii=False)
         return chosen | {f"coordlog{separator}origin": text}
@@ -138,7 +141,7 @@ def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry
 
 
 def kind_of(header: Header) -> str:
-    """ "simulated" (replays bit for bit) or "observed" (came from outside)."""
+    """Kind of an episode: "simulated" (replays bit for bit) or "observed" (came from outside)."""
     return str(getattr(header, "kind", header.episode.get("kind", "simulated")))
 
 
