@@ -139,8 +139,8 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
 
     Args:
         scene: What to build.
-        config: Decides whether the zero-moment point's and the last links' sensors are needed.
-        radii: Radii of the spheres [m]; without them the scene's largest.
+        config: Decides whether the zero-moment point's and the last links' sensors are needed, and how much larger panels are.
+        radii: Radii of the spheres as simulated [m]; without them the scene's largest.
 
     Raises:
         ConfigError: if the robot's model is no XML, or lacks something its spec names.
@@ -157,9 +157,8 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
     if scene.robot.soles:
         ET.SubElement(world, "geom", name="floor", type="plane", size="2 2 0.1", rgba="0.55 0.58 0.62 1", friction="0.8 0.005 0.0001")
     for panel in scene.panels:
-        ET.SubElement(
-            world, "geom", name=panel.name, type="box", pos=_numbers(panel.centre), size=_numbers(panel.half), rgba="0.62 0.45 0.30 1"
-        )
+        half = tuple(extent + config.inflate for extent in panel.half)
+        ET.SubElement(world, "geom", name=panel.name, type="box", pos=_numbers(panel.centre), size=_numbers(half), rgba="0.62 0.45 0.30 1")
     _mocap_bodies(world, scene, radii)
     _soles(root, scene.robot)
     _sensors(_section(root, "sensor"), scene.robot, config, base=base)

@@ -100,6 +100,14 @@ class Learner:
         zero = torch.zeros((), dtype=dtype, device=self.device)
         self._last = (zero.expand(k), zero, zero)
 
+    def anneal(self, progress: float) -> None:
+        """Set the learning rates for a fraction `progress` in [0, 1] of the run."""
+        share = 1.0 - (1.0 - self.config.final_rate) * progress
+        rates = (self.actor_optimiser, self.config.actor_rate), (self.critic_optimiser, self.config.critic_rate)
+        for optimiser, rate in rates:
+            for group in optimiser.param_groups:
+                group["lr"] = rate * share
+
     def update(self, batch: Batch, *, behaviour_weight: float = 0.0, effort: float = 0.0) -> Update:
         """One gradient step of the critic; at every `actor_delay`-th one, of the actor, and of the targets towards both."""
         self.updates += 1
@@ -148,7 +156,8 @@ class Learner:
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
-        q: Tensor = self.critic(batch.state, leaf, count=1)[0]  # (B, k)
+        members = 1 if self.config.ascent == "first" else None
+        q: Tensor = self.critic(batch.state, leaf, count=members).mean(dim=0)  # (B, k)
         heads = q.sum(dim=0).unbind()
         slopes = [torch.autograd.grad(head, leaf, retain_graph=True)[0] for head in heads]  # k of (B, n_u)
         with torch.no_grad():

@@ -191,6 +191,7 @@ class Trainer:
 
     def _update(self, count: int) -> None:
         for _ in range(count):
+            self.learner.anneal(self.progress)
             weight = self.settings.behaviour.at(self.progress)
             self._tally.add(
                 self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight, effort=self.settings.behaviour.effort)
@@ -232,8 +233,9 @@ class Trainer:
             return
         self._evaluated = self.updates
         policy = self.policy()
-        figures = dict(self.hooks.evaluate(policy, self.updates))
-        self._write("evaluation", dict(figures))
+        found = self.hooks.evaluate(policy, self.updates)
+        self._write("evaluation", dict(found))
+        figures = {name: value for name, value in found.items() if not isinstance(value, str)}
         if not self.best or [figures[name] for name in self.hooks.rank] > [self.best[name] for name in self.hooks.rank]:
             self.best = figures
             policy.save(self.folder / "best.safetensors")

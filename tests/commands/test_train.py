@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from coordlog.cli import app
-from coordlog.commands.training import Judge
+from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
 from coordlog.record.dataset import open as open_logs
 from coordlog.train.config import NetworkConfig
@@ -95,9 +95,10 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tm
 def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     actor = Actor(35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0))
     policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
+    envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge("planar", {"env": {"max_steps": 3}}, None, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
