@@ -46,6 +46,8 @@ class NetworkConfig:
     """Probability that a hidden unit is dropped; off when acting, in targets, and in the critic of the actor's step."""
     critics: int = 2
     """Critics of which targets take the minimum per head; 1 is DDPG, 2 is TD3."""
+    ascent: Ascent = "first"
+    """Which of them the actor ascends: the "first", as TD3 prints it, or the "mean" of all, on whose errors it cannot sit as easily."""
     action_layer: int = 1
     """Hidden layer of the critic that the action enters: 1 beside the state, 2 as in DDPG §7."""
     final_init: float = 3e-3
@@ -59,6 +61,7 @@ class NetworkConfig:
         require_choice("network.critic_norm", Norm, self.critic_norm)
         require(0 <= self.dropout < 1, "network.dropout", "a probability in [0, 1)", self.dropout)
         require(self.critics >= 1, "network.critics", "at least 1", self.critics)
+        require_choice("network.ascent", Ascent, self.ascent)
         require(
             1 <= self.action_layer <= min(2, len(self.hidden)), "network.action_layer", "1, or 2 with two hidden layers", self.action_layer
         )
@@ -93,18 +96,12 @@ class LearnerConfig:
     """How the heads' action gradients combine: "mask" is DiGrad (eq. 3), the others are ablations."""
     normalise: bool = True
     """Divide the actor's gradient by mean |Q|, so that the behaviour term keeps its weight as Q grows (TD3+BC)."""
-    ascent: Ascent = "first"
-    """What the actor ascends: the "first" critic, as TD3 prints it, or the "mean" of all, whose errors it cannot sit on as easily."""
-    final_rate: float = 1.0
-    """Both learning rates fall linearly to this share of themselves at the end of the run."""
 
     def __post_init__(self) -> None:
         """Check every field."""
         require(0 <= self.gamma < 1, "learner.gamma", "a discount in [0, 1)", self.gamma)
         require(0 < self.tau <= 1, "learner.tau", "a rate in (0, 1]", self.tau)
         require_choice("learner.gradient", Gradient, self.gradient)
-        require_choice("learner.ascent", Ascent, self.ascent)
-        require(0 < self.final_rate <= 1, "learner.final_rate", "a share in (0, 1]", self.final_rate)
         require(self.actor_delay >= 1, "learner.actor_delay", "at least 1", self.actor_delay)
         for name in ("actor_rate", "critic_rate", "reward_scale"):
             require(getattr(self, name) > 0, f"learner.{name}", "a positive number", getattr(self, name))
@@ -250,6 +247,8 @@ class LoopConfig:
     """Updates from logs alone before the first live step."""
     updates_per_step: float = 0.2
     """Updates per environment step after `replay.warmup` of them, when live."""
+    final_rate: float = 1.0
+    """Both learning rates fall linearly to this share of themselves at the end of the run."""
     block: int = 8
     """Control steps of every simulation between two snapshots of the actor, when live."""
     overlap: bool = True
@@ -270,3 +269,4 @@ class LoopConfig:
         for name in ("seed", "updates", "steps", "pretrain", "evaluate_every"):
             require(getattr(self, name) >= 0, f"loop.{name}", "a number ≥ 0", getattr(self, name))
         require(self.updates_per_step > 0, "loop.updates_per_step", "a positive number", self.updates_per_step)
+        require(0 < self.final_rate <= 1, "loop.final_rate", "a share in (0, 1]", self.final_rate)

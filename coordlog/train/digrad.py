@@ -95,14 +95,14 @@ class Learner:
         self._online, self._targets = (tuple[Tensor, ...](networks.parameters()) for networks in (online, targets))
         self._moments = [(target, moment) for target, moment in zip(targets.buffers(), online.buffers(), strict=True) if moment.dim() > 1]
         dtype = self._online[0].dtype
+        self._ascended = 1 if network.ascent == "first" else network.critics
         self._head_weights = torch.as_tensor(head_weights(config.gradient, mask), dtype=dtype, device=self.device)
         self._bounds = (bounds[0] * config.reward_scale, bounds[1] * config.reward_scale)
         zero = torch.zeros((), dtype=dtype, device=self.device)
         self._last = (zero.expand(k), zero, zero)
 
-    def anneal(self, progress: float) -> None:
-        """Set the learning rates for a fraction `progress` in [0, 1] of the run."""
-        share = 1.0 - (1.0 - self.config.final_rate) * progress
+    def slow_down(self, share: float) -> None:
+        """Learn at this share of the configured rates from now on."""
         rates = (self.actor_optimiser, self.config.actor_rate), (self.critic_optimiser, self.config.critic_rate)
         for optimiser, rate in rates:
             for group in optimiser.param_groups:
@@ -156,8 +156,7 @@ class Learner:
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
-        members = 1 if self.config.ascent == "first" else None
-        q: Tensor = self.critic(batch.state, leaf, count=members).mean(dim=0)  # (B, k)
+        q: Tensor = self.critic(batch.state, leaf, count=self._ascended).mean(dim=0)  # (B, k)
         heads = q.sum(dim=0).unbind()
         slopes = [torch.autograd.grad(head, leaf, retain_graph=True)[0] for head in heads]  # k of (B, n_u)
         with torch.no_grad():

@@ -191,7 +191,7 @@ class Trainer:
 
     def _update(self, count: int) -> None:
         for _ in range(count):
-            self.learner.anneal(self.progress)
+            self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
             weight = self.settings.behaviour.at(self.progress)
             self._tally.add(
                 self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight, effort=self.settings.behaviour.effort)

@@ -49,11 +49,11 @@ PRESETS: dict[str, Settings] = {
     # Live, from scratch, in any scene: actions that last long enough for a critic to see what they are worth, imitation that leaves room
     # for what is learnt from values, and starts all over the place, so that the way around something is found from its end.
     "live": Settings(
-        learner=LearnerConfig(ascent="mean", final_rate=0.3),
+        network=NetworkConfig(ascent="mean"),
         behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),
         noise=NoiseConfig(start=0.5, final=0.07, decay=0.5, correlation=0.7),
         replay=ReplayConfig(batch=128, warmup=3_000, hindsight=0.7, horizon=8, far=0.3, n_step=3, cut=True),
-        loop=LoopConfig(updates=0, steps=130_000, updates_per_step=0.3, evaluate_every=3_000, checkpoint_every=3_000),
+        loop=LoopConfig(updates=0, steps=130_000, updates_per_step=0.3, final_rate=0.3, evaluate_every=3_000, checkpoint_every=3_000),
         train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
     ),
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
@@ -88,7 +88,8 @@ AROUND: dict[str, dict[str, dict[str, Any]]] = {
 UNSAID: dict[tuple[str, str], object] = {
     (section, key): getattr(getattr(PRESETS["default"], section), key)
     for section, keys in {
-        "learner": ("ascent", "final_rate"),
+        "network": ("ascent",),
+        "loop": ("final_rate",),
         "behaviour": ("schedule",),
         "replay": ("far", "cut"),
         "train": ("start_line", "start_random", "start_solved", "inflate"),

@@ -66,7 +66,7 @@ def test_a_bad_file_or_preset_is_named(tmp_path: Path) -> None:
         load_settings(path)
     with pytest.raises(StorageError, match="cannot be read"):
         load_settings(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="unknown preset 'best'; choose one of: default, paper"):
+    with pytest.raises(ConfigError, match="unknown preset 'best'; choose one of: default, live, paper"):
         load_settings(preset="best")
 
 

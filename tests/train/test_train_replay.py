@@ -16,18 +16,18 @@ from coordlog.train.buffer import Block, ReplayBuffer
 from coordlog.train.config import ReplayConfig
 from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.relabel import outcome
-from coordlog.train.replay import Arrays, Asked, MixedReplay, Store, in_hindsight, moved, transitions
+from coordlog.train.replay import Arrays, Asked, Horizon, MixedReplay, Store, in_hindsight, moved, transitions
 from coordlog.train.task import Motion
 
 WIDTHS = (toy.N_X, toy.N_U, 2)
 GAMMA = 0.9
 
 
-def read(store: Store, rows: np.ndarray, *, n: int = 1) -> Arrays:
+def read(store: Store, rows: np.ndarray, *, n: int = 1, cut: bool = False) -> Arrays:
     out = Arrays.empty(len(rows), WIDTHS)
     for array in out:
         array[:] = np.nan
-    transitions(store, rows, out, n=n, gamma=GAMMA)
+    transitions(store, rows, out, Horizon(n, GAMMA, cut))
     return out
 
 
@@ -365,7 +365,7 @@ def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(rng: np.
     rows = store.draw(rng, 200)
     goals = view.points(store.next_state(store.later(rng, rows, 8)[0]), view.palms)
     out = Arrays.empty(200, WIDTHS)
-    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), n=4, gamma=GAMMA)
+    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), Horizon(4, GAMMA))
     index, within = store.ahead(rows, 4)
     for place in range(200):
         reward, discount = np.zeros(2), 1.0
