@@ -37,11 +37,11 @@ fix: $(READY)  ## format and repair what can be repaired
 	$(BIN)/ruff check --fix .
 
 bench: $(READY)  ## speed, as ratios measured in one run
-	$(BIN)/python -m bench
+	$(BIN)/python -m experiments.speed
 
 results: $(READY)  ## measure the shipped policies on held-out goals again, write docs/results.md
-	$(BIN)/python -m results.ship
-	$(BIN)/python -m results.report
+	$(BIN)/python -m experiments.ship
+	$(BIN)/python -m experiments.report
 
 schemas: $(READY)  ## write anew what is generated: schemas/ and the tables in docs/
 	$(BIN)/python -m coordlog.record.schema

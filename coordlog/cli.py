@@ -1,6 +1,7 @@
 """The command line: names the commands, turns errors into one sentence and an exit code.
 
-Exit codes: 0 ok, 1 a check failed, 2 usage or bad input, 3 partial (something was skipped or lost, and named), 130 interrupted.
+Exit codes: 0 ok, 1 a check failed, 2 usage or bad input, 3 partial (something was skipped or lost,
+and named), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def coordlog(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
+    ] = False,
 ) -> None:
     """Robot episodes that are never lost, never silently wrong, and always replayable."""
 

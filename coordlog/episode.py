@@ -1,8 +1,9 @@
 """An episode in memory: frozen arrays, and who made it how.
 
-T actions lead through T + 1 states: `qpos[t]`, `state[t]` are before `action[t]`; `reward[t]`, `distance[t]`
-and all flags are what `action[t]` led to; `qpos[T]`, `state[T]` are where the episode ended.
-`terminated` (the task ended) and `truncated` (cut off from outside) are two things and stay two.
+T actions lead through T + 1 states: `qpos[t]`, `state[t]` are before `action[t]`; `reward[t]`,
+`distance[t]` and all flags are what `action[t]` led to; `qpos[T]`, `state[T]` are where the episode
+ended. `terminated` (the task ended) and `truncated` (cut off from outside) are two things and stay
+two.
 """
 
 from __future__ import annotations
@@ -20,12 +21,22 @@ Array = NDArray[Any]
 Json = dict[str, Any]
 
 CONTACT = np.dtype(
-    [("step", "<i8"), ("substep", "<i4"), ("geom1", "<i4"), ("geom2", "<i4"), ("depth", "<f8"), ("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
+    [
+        ("step", "<i8"),
+        ("substep", "<i4"),
+        ("geom1", "<i4"),
+        ("geom2", "<i4"),
+        ("depth", "<f8"),
+        ("x", "<f8"),
+        ("y", "<f8"),
+        ("z", "<f8"),
+    ]
 )
 """One row per contact; the wire holds the same columns per step (spec.CONTACTS)."""
 
 MODEL_XML, MODEL_MJB, INITIAL_STATE = "model.xml.zst", "model.mjb.zst", "initial_state.f64"
-"""Attachment names: MJCF text and MJB, each one zstd frame, and the raw float64 mjSTATE_INTEGRATION vector."""
+"""Attachment names: MJCF text and MJB, each one zstd frame, and the raw float64 mjSTATE_INTEGRATION
+vector."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +47,19 @@ class Header:
     """
 
     episode: Json
-    """schema_version, id, run, robot, scene, split, seed, index, start, control_period [s], start_time [ns since the
-    epoch], goals (k × 3, m), obstacles (list of [x, y, z, radius], m)"""
+    """schema_version, id, run, robot, scene, split, seed, index, start, control_period [s],
+    start_time [ns since the epoch], goals (k × 3, m), obstacles (list of [x, y, z, radius], m)"""
     env: Json
-    """coordlog_version, mujoco_version, architecture, reward (constants), config (environment constants), robot (its spec
-    without the model text), joints, actuators, geoms (names by id), arms ({name: [action indices]}, shared ones in each),
-    action_joints (names), state (names of the n_x entries), layout (n_q, n_v, n_x, n_u, k)"""
+    """coordlog_version, mujoco_version, architecture, reward (constants), config (environment
+    constants), robot (its spec without the model text), joints, actuators, geoms (names by id),
+    arms ({name: [action indices]}, shared ones in each), action_joints (names), state (names of the
+    n_x entries), layout (n_q, n_v, n_x, n_u, k)"""
     policy: Json
-    """kind, name, checkpoint_sha256 or "", noise (constants of the exploration noise, {} without)"""
-    lineage: Json = field(default_factory=lambda: {"parents": [], "transform": "", "parameters": {}})
+    """kind, name, checkpoint_sha256 or "", noise (constants of the exploration noise, {}
+    without)"""
+    lineage: Json = field(
+        default_factory=lambda: {"parents": [], "transform": "", "parameters": {}}
+    )
     """parents (sha256 of files), transform, parameters"""
 
     @property
@@ -72,7 +87,8 @@ class Result:
     terminated: bool
     truncated: bool
     aborted: str
-    """Why recording stopped before the episode ended ("interrupted", "recovered", "diverged: …"); "" if it ended."""
+    """Why recording stopped before the episode ended ("interrupted", "recovered", "diverged: …");
+    "" if it ended."""
     digest: str
     """sha256 over the bytes of qpos and qvel, step by step and then final, as logged."""
 
@@ -123,10 +139,14 @@ class Episode:
             wanted = layout.shape(item, length + (item.name in both))
             array: Array = getattr(self, item.name)
             if array.shape != wanted or array.dtype != np.dtype(item.type):
-                raise SpecError(f"{item.name}: expected {item.type} of shape {wanted}, got {array.dtype} of shape {array.shape}")
+                raise SpecError(
+                    f"{item.name}: expected {item.type} of shape {wanted}, got {array.dtype} of shape {array.shape}"
+                )
             array.setflags(write=False)
         if self.contacts.dtype != CONTACT:
-            raise SpecError(f"contacts: expected rows of {CONTACT.names}, got {self.contacts.dtype}")
+            raise SpecError(
+                f"contacts: expected rows of {CONTACT.names}, got {self.contacts.dtype}"
+            )
         self.contacts.setflags(write=False)
 
     def __len__(self) -> int:

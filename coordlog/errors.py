@@ -9,8 +9,8 @@ CoordlogError                exit code 2
 ├── SimulationError          the physics cannot be built or has diverged
 └── ViewerError              the viewer cannot start: no display, no Vulkan, a port that is taken
 
-A message is one sentence or two: what, wanted, got, what to do. The command line prints it and exits
-with `exit_code`; a library user catches `CoordlogError`.
+A message is one sentence or two: what, wanted, got, what to do. The command line prints it and
+exits with `exit_code`; a library user catches `CoordlogError`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The one table of what an episode file contains: messages, fields, types, units.
 
-The codec, the `.msg` schemas, the Arrow columns and the documentation are all derived from `MESSAGES`.
-A sequence field names its length with a symbol; a `Layout` gives the symbols numbers for one robot and task.
+The codec, the `.msg` schemas, the Arrow columns and the documentation are all derived from
+`MESSAGES`. A sequence field names its length with a symbol; a `Layout` gives the symbols numbers
+for one robot and task.
 
     n_q, n_v   MuJoCo's nq and nv of the whole model
     n_x        policy state          n_u   action          k   arms (= tasks)
@@ -20,7 +21,8 @@ SCHEMA_VERSION = 1
 class Field(NamedTuple):
     """One field of a message.
 
-    `type` is a ROS 2 primitive name; `size` is "" for a scalar or the symbol of a sequence's length.
+    `type` is a ROS 2 primitive name; `size` is "" for a scalar or the symbol of a sequence's
+    length.
     """
 
     name: str
@@ -31,7 +33,9 @@ class Field(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One message type: its ROS 2 name, the topic it is published on, and its fields in wire order."""
+    """One message type: its ROS 2 name, the topic it is published on, and its fields in wire
+    order.
+    """
 
     name: str
     topic: str
@@ -45,19 +49,47 @@ STEP = Message(
     "One control step: the state before the action, the action executed, and what it led to. Authoritative.",
     (
         Field("step", "int64", "", "", "control step, from 0"),
-        Field("time", "float64", "", "s", "simulated time before the action, since the start of the episode"),
+        Field(
+            "time",
+            "float64",
+            "",
+            "s",
+            "simulated time before the action, since the start of the episode",
+        ),
         Field("qpos", "float64", "n_q", "m, rad", "MuJoCo qpos before the action"),
         Field("qvel", "float64", "n_v", "m/s, rad/s", "MuJoCo qvel before the action"),
-        Field("state", "float32", "n_x", "", "policy state before the action, scaled to about [-1, 1]"),
+        Field(
+            "state", "float32", "n_x", "", "policy state before the action, scaled to about [-1, 1]"
+        ),
         Field("action", "float32", "n_u", "", "action that was executed, in [-1, 1]"),
         Field("reward", "float64", "k", "", "reward of each arm for this action"),
         Field("distance", "float64", "k", "m", "palm to goal of each arm after the action"),
         Field("boundary", "bool", "k", "", "palm within the goal boundary after the action"),
         Field("goal", "bool", "k", "", "palm within the goal radius after the action"),
-        Field("collision", "bool", "", "", "any contact other than sole on floor, at any physics substep"),
-        Field("instability", "bool", "", "", "centre of mass left the support polygon, or the torso tipped"),
-        Field("terminated", "bool", "", "", "the task ended here: instability, or every goal reached"),
-        Field("truncated", "bool", "", "", "cut off from outside here: step limit; bootstrap through it"),
+        Field(
+            "collision",
+            "bool",
+            "",
+            "",
+            "any contact other than sole on floor, at any physics substep",
+        ),
+        Field(
+            "instability",
+            "bool",
+            "",
+            "",
+            "centre of mass left the support polygon, or the torso tipped",
+        ),
+        Field(
+            "terminated", "bool", "", "", "the task ended here: instability, or every goal reached"
+        ),
+        Field(
+            "truncated",
+            "bool",
+            "",
+            "",
+            "cut off from outside here: step limit; bootstrap through it",
+        ),
     ),
 )
 
@@ -103,7 +135,13 @@ KNOT = Message(
     (
         Field("time", "float64", "", "s", "since the start of the episode"),
         Field("position", "float64", "n_j", "rad", "joint angles, order of the action joints"),
-        Field("weight", "float64", "", "", "fidelity weight of the sample; infinite at an exact end point"),
+        Field(
+            "weight",
+            "float64",
+            "",
+            "",
+            "fidelity weight of the sample; infinite at an exact end point",
+        ),
     ),
 )
 

@@ -1,4 +1,5 @@
-"""The documentation says what is true: links lead somewhere, code runs, commands parse, generated parts are what would be generated."""
+"""The documentation says what is true: links lead somewhere, code runs, commands parse, generated
+parts are what would be generated."""
 
 from __future__ import annotations
 
@@ -18,12 +19,20 @@ from coordlog.cli import app
 
 ROOT = Path(__file__).parents[1]
 FIXTURES = ROOT / "tests" / "data" / "v1" / "table"
-PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
-FENCE = re.compile(r"^```(?P<language>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE)
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
+}
+FENCE = re.compile(
+    r"^```(?P<language>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<code>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 INDENTED = re.compile(r"^    coordlog (?P<line>[a-z].*)$", re.MULTILINE)
 
-_spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "reference" / "generate.py")
+_spec = importlib.util.spec_from_file_location(
+    "generate", ROOT / "docs" / "reference" / "generate.py"
+)
 assert _spec is not None
 assert _spec.loader is not None
 generate = importlib.util.module_from_spec(_spec)
@@ -60,8 +69,14 @@ def test_every_link_within_leads_somewhere(page: str) -> None:
             continue
         name, _, anchor = target.partition("#")
         path = (ROOT / page).parent / name if name else ROOT / page
-        headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE) if anchor and path.is_file() else []
-        if not path.exists() or (anchor and anchor not in {slugify(heading, "-") for heading in headings}):
+        headings = (
+            re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            if anchor and path.is_file()
+            else []
+        )
+        if not path.exists() or (
+            anchor and anchor not in {slugify(heading, "-") for heading in headings}
+        ):
             missing.append(target)
     assert missing == []
 
@@ -93,9 +108,15 @@ def write_logs(folder: Path, text: str) -> None:
         shutil.copy(min(FIXTURES.glob("*.mcap")), folder / name)
 
 
-@pytest.mark.parametrize("page", [page for page, text in PAGES.items() if "```python" in text and page != "docs/index.md"])
+@pytest.mark.parametrize(
+    "page",
+    [page for page, text in PAGES.items() if "```python" in text and page != "docs/index.md"],
+)
 def test_python_code_runs(page: str, folder: Path) -> None:
-    """All blocks of a page, one after the other, in one namespace; a block with a title is that file, too."""
+    """All blocks of a page, one after the other, in one namespace.
+
+    A block with a title is that file, too.
+    """
     blocks = [found for found in FENCE.finditer(PAGES[page]) if found["language"] == "python"]
     write_logs(folder, "".join(found["code"] for found in blocks))
     namespace: dict[str, object] = {"__name__": "page"}
@@ -109,13 +130,21 @@ def test_python_code_runs(page: str, folder: Path) -> None:
 def test_command_lines_parse(page: str) -> None:
     for name, *arguments in commands(PAGES[page]):
         assert name in COMMANDS, f"{page}: there is no `coordlog {name}`"
-        wanted = ["0" if argument == "SEED" else argument for argument in arguments if argument not in ("[OPTIONS]", "--help")]
+        wanted = [
+            "0" if argument == "SEED" else argument
+            for argument in arguments
+            if argument not in ("[OPTIONS]", "--help")
+        ]
         COMMANDS[name].make_context(name, wanted)
 
 
 def test_the_command_line_reference_has_every_command_and_option() -> None:
     sections = dict(
-        re.findall(r"^## `coordlog (\w+)`\n(.*?)(?=^## |\Z)", PAGES["docs/reference/command-line.md"], re.DOTALL | re.MULTILINE)
+        re.findall(
+            r"^## `coordlog (\w+)`\n(.*?)(?=^## |\Z)",
+            PAGES["docs/reference/command-line.md"],
+            re.DOTALL | re.MULTILINE,
+        )
     )
     assert sections.keys() == COMMANDS.keys()
     for name, command in COMMANDS.items():
@@ -132,13 +161,31 @@ def test_a_robot_of_ones_own_goes_the_whole_way(folder: Path) -> None:
     for found in FENCE.finditer(page):
         if found["title"]:
             (folder / found["title"]).write_text(found["code"], encoding="utf-8")
-    typed = [" ".join(words) for words in commands(page.partition("## From the command line")[2].partition("## From Python")[0])]
+    typed = [
+        " ".join(words)
+        for words in commands(
+            page.partition("## From the command line")[2].partition("## From Python")[0]
+        )
+    ]
     extra = {"train": " --eval-every 0 --set network.hidden=[32,32]", "view": " --save desk.rrd"}
-    assert [line.split()[0] for line in typed][:6] == ["record", "check", "train", "record", "smooth", "view"]
+    assert [line.split()[0] for line in typed][:6] == [
+        "record",
+        "check",
+        "train",
+        "record",
+        "smooth",
+        "view",
+    ]
     for line in typed[:6]:
-        short = re.sub(r"--(episodes|updates) \d+", r"--\1 3", line) + extra.get(line.split()[0], "")
+        short = re.sub(r"--(episodes|updates) \d+", r"--\1 3", line) + extra.get(
+            line.split()[0], ""
+        )
         assert app(shlex.split(short), standalone_mode=False) in (None, 0)
-    assert len(list(folder.glob("logs/desk/*.mcap"))) == len(list(folder.glob("smoothed/desk/*.mcap"))) == 3
+    assert (
+        len(list(folder.glob("logs/desk/*.mcap")))
+        == len(list(folder.glob("smoothed/desk/*.mcap")))
+        == 3
+    )
     assert (folder / "runs/desk/policy.safetensors").exists()
     assert len(list(folder.glob("evaluation/desk/desk-test-*.mcap"))) == 3
     assert (folder / "desk.rrd").stat().st_size > 10_000

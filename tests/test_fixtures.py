@@ -13,11 +13,17 @@ from coordlog.record.reader import read_episode
 
 DATA = Path(__file__).parent / "data"
 EPISODES = sorted(DATA.glob("v*/*/*.mcap"))
-DIGESTS = {line.split("  ")[1]: line.split("  ")[0] for line in (DATA / "SHA256SUMS").read_text(encoding="utf-8").splitlines()}
+DIGESTS = {
+    line.split("  ")[1]: line.split("  ")[0]
+    for line in (DATA / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+}
 
 
 def test_the_set_is_as_it_was_committed() -> None:
-    found = {str(path.relative_to(DATA)): hashlib.sha256(path.read_bytes()).hexdigest() for path in EPISODES}
+    found = {
+        str(path.relative_to(DATA)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in EPISODES
+    }
     assert found == DIGESTS
     assert sum(path.stat().st_size for path in EPISODES) < 1_000_000
 
@@ -29,7 +35,9 @@ def test_every_scene_is_there_with_success_and_failure() -> None:
         assert {result.clean for result in results} == {True, False}
 
 
-@pytest.mark.parametrize("folder", sorted(DATA.glob("v*/*")), ids=lambda folder: f"{folder.parent.name}-{folder.name}")
+@pytest.mark.parametrize(
+    "folder", sorted(DATA.glob("v*/*")), ids=lambda folder: f"{folder.parent.name}-{folder.name}"
+)
 def test_every_episode_is_sound_down_to_the_last_bit_of_its_physics(folder: Path) -> None:
     checked = check_files(sorted(folder.glob("*.mcap")), level="replay")
     assert checked.findings == []

@@ -1,4 +1,5 @@
-"""The direction of imports: errors ← spec ← episode ← sim ← rollout ← { record | train | smooth | view } ← commands ← cli."""
+"""The direction of imports: errors ← spec ← episode ← sim ← rollout ← { record | train | smooth |
+view } ← commands ← cli."""
 
 from __future__ import annotations
 
@@ -12,13 +13,27 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "coordlog"
 SIBLINGS = ("record", "train", "smooth", "view")
-FLOORS = ("version", "errors", "spec", "episode", "sim", "rollout", "scoring", "scripted", *SIBLINGS, "commands", "cli")
+FLOORS = (
+    "version",
+    "errors",
+    "spec",
+    "episode",
+    "sim",
+    "rollout",
+    "scoring",
+    "scripted",
+    *SIBLINGS,
+    "commands",
+    "cli",
+)
 """From the ground up; a room may import rooms before it, and siblings none of one another."""
 OWNERS = {"mujoco": "sim", "torch": "train", "mcap": "record", "rerun": "view"}
 
 
 def name_of(path: Path) -> str:
-    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(
+        ".__init__"
+    )
 
 
 MODULES = {path: name_of(path) for path in PACKAGE.rglob("*.py")}
@@ -51,19 +66,26 @@ def test_a_room_imports_only_what_lies_below_it(path: Path) -> None:
             continue
         assert other in FLOORS, f"{name} is in no known room"
         assert FLOORS.index(other) < FLOORS.index(own), f"{MODULES[path]} imports {name} from above"
-        assert not (own in SIBLINGS and other in SIBLINGS), f"{MODULES[path]} imports its sibling {name}"
+        assert not (own in SIBLINGS and other in SIBLINGS), (
+            f"{MODULES[path]} imports its sibling {name}"
+        )
 
 
 @pytest.mark.parametrize("path", sorted(MODULES), ids=lambda path: MODULES[path])
 def test_a_heavy_library_stays_in_its_room(path: Path) -> None:
     for name in imports(path):
         owner = OWNERS.get(name.split(".")[0])
-        assert owner in (None, room(MODULES[path])), f"{MODULES[path]} imports {name}, which belongs to {owner}/"
+        assert owner in (None, room(MODULES[path])), (
+            f"{MODULES[path]} imports {name}, which belongs to {owner}/"
+        )
 
 
 def test_there_is_no_cycle() -> None:
     names = set(MODULES.values())
-    graph = {MODULES[path]: {use for use in imports(path) if use in names and use != MODULES[path]} for path in MODULES}
+    graph = {
+        MODULES[path]: {use for use in imports(path) if use in names and use != MODULES[path]}
+        for path in MODULES
+    }
     tuple(TopologicalSorter(graph).static_order())
 
 

@@ -1,7 +1,9 @@
-"""Episodes that begin in the middle of logged ones: where those went wrong, somebody else shows how it goes on.
+"""Episodes that begin in the middle of logged ones: where those went wrong, somebody else shows how
+it goes on.
 
-What a policy does wrong it does in states that an expert's own logs never get to, so they do not tell what is right there (Ross et al.
-2011, DAgger). Episodes that begin where the policy's logs are about to go wrong ask the expert for just that.
+What a policy does wrong it does in states that an expert's own logs never get to, so they do not
+tell what is right there (Ross et al. 2011, DAgger). Episodes that begin where the policy's logs are
+about to go wrong ask the expert for just that.
 """
 
 from __future__ import annotations
@@ -15,18 +17,19 @@ import numpy as np
 from coordlog.commands.logs import load_logs
 from coordlog.errors import ConfigError
 from coordlog.record.recorder import Recorder
-from coordlog.sim.draw import Branch
+from coordlog.sim.sampler import Branch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from coordlog.episode import Array, Json
     from coordlog.record.cache import Logs
-    from coordlog.sim.draw import Problem
     from coordlog.sim.env import BatchEnv
+    from coordlog.sim.sampler import Problem
 
 EARLIEST, LATEST = 30, 6
-"""An episode in which something went wrong is left at least LATEST and at most EARLIEST steps before that; our choice."""
+"""An episode in which something went wrong is left at least LATEST and at most EARLIEST steps
+before that; our choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,9 @@ class Parents:
         self.scene: str = logs.episodes.column("scene")[0].as_py()
         starts = set(logs.episodes.column("start").to_pylist())
         if len(starts) > 1:
-            raise ConfigError(f"--branch: expected logs of one start pose, got {', '.join(sorted(starts))}; choose with --where")
+            raise ConfigError(
+                f"--branch: expected logs of one start pose, got {', '.join(sorted(starts))}; choose with --where"
+            )
         (self.start,) = starts
         self._parents = list(_parents(logs))
 
@@ -68,7 +73,9 @@ class Parents:
         return len(self._parents)
 
     def leave(self, index: int, *, seed: int) -> tuple[Parent, Branch]:
-        """The branch of a number: parents take turns, and where each is left depends on the seed and the number alone."""
+        """The branch of a number: parents take turns, and where each is left depends on the seed
+        and the number alone.
+        """
         parent = self._parents[index % len(self)]
         step = leave(np.random.default_rng([seed, index]), parent.mishap)
         return parent, Branch(parent.digest, parent.action[:step], parent.state[step])
@@ -85,7 +92,9 @@ class Branched(Recorder):
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The parent's problem, begun where it is left."""
         parent, branch = self._parents.leave(index, seed=seed)
-        return replace(super().problem(seed=parent.seed, split=parent.split, index=parent.index), branch=branch)
+        return replace(
+            super().problem(seed=parent.seed, split=parent.split, index=parent.index), branch=branch
+        )
 
 
 def _parents(logs: Logs) -> Iterator[Parent]:
@@ -97,11 +106,14 @@ def _parents(logs: Logs) -> Iterator[Parent]:
     rows = logs.episodes.select(["seed", "split", "index", "digest"]).to_pylist()
     for row, length, end in zip(rows, columns.length, ends, strict=True):
         part = slice(int(end - length), int(end))
-        yield Parent(**row, state=columns.state[part], action=columns.action[part], mishap=mishap[part])
+        yield Parent(
+            **row, state=columns.state[part], action=columns.action[part], mishap=mishap[part]
+        )
 
 
 def leave(rng: np.random.Generator, mishap: Array) -> int:
-    """The step at which to leave an episode: shortly before its first mishap, or anywhere if there was none.
+    """The step at which to leave an episode: shortly before its first mishap, or anywhere if there
+    was none.
 
     Args:
         rng: Chance.

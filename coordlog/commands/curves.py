@@ -17,39 +17,59 @@ def draw_curves(folders: Sequence[Path], out: Path, *, against: str, force: bool
     Args:
         folders: Run folders, finished or not.
         out: The file.
-        against: What x counts: episodes, updates or steps; "" for episodes where every run has live ones, else updates.
+        against: What x counts: episodes, updates or steps; "" for episodes where every run has live
+            ones, else updates.
         force: Replace the file if it exists.
 
     Raises:
         ConfigError: if a run has no figure to draw yet, or none against this.
         StorageError: if a folder holds no run, or the file cannot be written.
     """
-    histories = [load_history(folder) for folder in dict.fromkeys(folder.resolve() for folder in folders)]
+    histories = [
+        load_history(folder) for folder in dict.fromkeys(folder.resolve() for folder in folders)
+    ]
     x = _against(histories, against)
     scenes: dict[str, dict[str, list[Curve]]] = {}
     for scene in dict.fromkeys(history.said["scene"] for history in histories):
         groups = grouped([history for history in histories if history.said["scene"] == scene])
-        curves = {label: {name: _curves(label, group, name, against=x) for name in PANELS} for label, group in groups.items()}
-        scenes[scene] = {name: [curve for made in curves.values() for curve in made[name]] for name in PANELS}
+        curves = {
+            label: {name: _curves(label, group, name, against=x) for name in PANELS}
+            for label, group in groups.items()
+        }
+        scenes[scene] = {
+            name: [curve for made in curves.values() for curve in made[name]] for name in PANELS
+        }
     save(curves_figure(scenes, against=x), out, force=force)
 
 
 def _against(histories: Sequence[History], wanted: str) -> Against:
     asleep = [history.folder for history in histories if not history.live]
     if wanted in ("episodes", "steps") and asleep:
-        raise ConfigError(f"--against {wanted}: expected runs with live steps, got {asleep[0]}, which learns from logs; use updates")
-    chosen: dict[str, Against] = {"episodes": "episodes", "updates": "updates", "steps": "steps", "": "updates" if asleep else "episodes"}
+        raise ConfigError(
+            f"--against {wanted}: expected runs with live steps, got {asleep[0]}, which learns from logs; use updates"
+        )
+    chosen: dict[str, Against] = {
+        "episodes": "episodes",
+        "updates": "updates",
+        "steps": "steps",
+        "": "updates" if asleep else "episodes",
+    }
     if wanted not in chosen:
         raise ConfigError(f"--against: expected episodes, updates or steps, got '{wanted}'")
     return chosen[wanted]
 
 
 def _curves(label: str, group: Sequence[History], name: str, *, against: Against) -> list[Curve]:
-    """Held-out figures, and dashed those of the episodes learnt from; those alone where nothing was evaluated."""
+    """Held-out figures, and dashed those of the episodes learnt from.
+
+    Those alone where nothing was evaluated.
+    """
     held_out = _lines(group, name, kind="evaluation", against=against)
     explored = _lines(group, name, kind="training", against=against)
     if not held_out and not explored:
-        raise ConfigError(f"{group[0].folder}: expected a run with an evaluation or a live episode to draw, got one with neither yet")
+        raise ConfigError(
+            f"{group[0].folder}: expected a run with an evaluation or a live episode to draw, got one with neither yet"
+        )
     if not held_out:
         return [Curve(f"{label}, while exploring", *band(explored), runs=explored)]
     exploring = [Curve(label, *band(explored), dashed=True)] if explored else []

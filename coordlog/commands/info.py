@@ -19,8 +19,13 @@ MANY = 40
 
 
 def info(
-    path: Annotated[list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")],
-    every: Annotated[bool, typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}.")] = False,
+    path: Annotated[
+        list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")
+    ],
+    every: Annotated[
+        bool,
+        typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print rows and totals as JSON.")] = False,
 ) -> None:
     """Show what episodes there are; reads the ends of each file, not its messages.
@@ -46,7 +51,18 @@ def info(
 
 def _show(summary: Summary, *, every: bool) -> None:
     shown = summary.rows if every else summary.rows[:MANY]
-    columns = ("episode", "scene", "policy", "steps", "s", "return per arm", "success", "clean", "end", "size")
+    columns = (
+        "episode",
+        "scene",
+        "policy",
+        "steps",
+        "s",
+        "return per arm",
+        "success",
+        "clean",
+        "end",
+        "size",
+    )
     if shown:
         terminal.table(columns, [_cells(row) for row in shown], right=("steps", "s", "size"))
     if len(shown) < len(summary.rows):
@@ -61,7 +77,8 @@ def _show(summary: Summary, *, every: bool) -> None:
     for row in shown:
         if row.parents:
             terminal.out.print(
-                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}", highlight=False
+                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}",
+                highlight=False,
             )
     for item in summary.skipped:
         terminal.note(f"skipped: {item.path}: {item.reason}")
@@ -70,9 +87,22 @@ def _show(summary: Summary, *, every: bool) -> None:
 
 
 def _cells(row: Row) -> list[object]:
-    returns = "  ".join(f"{value:.1f}" if math.isfinite(value) else str(value) for value in row.returns.values())
+    returns = "  ".join(
+        f"{value:.1f}" if math.isfinite(value) else str(value) for value in row.returns.values()
+    )
     end = row.aborted or ("terminated" if row.terminated else "truncated" if row.truncated else "-")
     yes = {True: "yes", False: "no"}
     name = Path(row.path).name
     size = terminal.megabytes(row.size)
-    return [name, row.scene, row.policy, row.length, f"{row.duration:.1f}", returns, yes[row.success], yes[row.clean], end, size]
+    return [
+        name,
+        row.scene,
+        row.policy,
+        row.length,
+        f"{row.duration:.1f}",
+        returns,
+        yes[row.success],
+        yes[row.clean],
+        end,
+        size,
+    ]

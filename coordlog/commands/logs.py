@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from coordlog.commands import terminal
-from coordlog.commands.pool import mapped
 from coordlog.errors import ConfigError, FormatError, SpecError
+from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
@@ -21,7 +21,8 @@ def cache_folder() -> Path:
 
 
 def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) -> Logs:
-    """The episodes under some folders that satisfy a condition, as columns; all of one scene and one state layout.
+    """The episodes under some folders that satisfy a condition, as columns; all of one scene and
+    one state layout.
 
     Raises:
         FormatError: if a file is broken and they are not to be skipped.
@@ -33,11 +34,19 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
 
     files = find_files(paths)
     if not files.paths:
-        unfinished = f"; {len(files.parts)} unfinished ones are there: `coordlog recover` makes episodes of them" if files.parts else ""
-        raise SpecError(f"no logs: expected episodes (.mcap) under {', '.join(map(str, paths))}, found none{unfinished}")
+        unfinished = (
+            f"; {len(files.parts)} unfinished ones are there: `coordlog recover` makes episodes of them"
+            if files.parts
+            else ""
+        )
+        raise SpecError(
+            f"no logs: expected episodes (.mcap) under {', '.join(map(str, paths))}, found none{unfinished}"
+        )
     with terminal.progress() as bar:
 
-        def run(build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]) -> Iterable[Built]:
+        def run(
+            build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
+        ) -> Iterable[Built]:
             task = bar.add_task("decoding new logs", total=sum(map(len, groups)), note="")
             for built in mapped(build, groups, jobs=jobs):
                 bar.update(task, advance=built.files)
@@ -53,7 +62,9 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
         raise ConfigError(f"--where: no episode of {len(logs)} satisfies: {where}")
     scenes = sorted(set(chosen.episodes.column("scene").to_pylist()))
     if len(scenes) > 1:
-        raise SpecError(f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\"")
+        raise SpecError(
+            f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\""
+        )
     _require_alike(chosen)
     return chosen
 
@@ -68,12 +79,16 @@ def matching(logs: Logs, where: str) -> list[int]:
 
     columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
     connection = duckdb.connect(config={"enable_external_access": "false"})
-    connection.register("episodes", logs.episodes.select(columns).append_column("row", [list(range(len(logs)))]))
+    connection.register(
+        "episodes", logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
+    )
     try:
         rows = connection.execute(f"select row from episodes where {where} order by row").fetchall()
     except duckdb.Error as error:
         names = ", ".join(columns)
-        raise ConfigError(f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}") from error
+        raise ConfigError(
+            f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
+        ) from error
     return [row for (row,) in rows]
 
 

@@ -12,15 +12,31 @@ from coordlog.errors import ConfigError, SpecError
 
 
 def plot(
-    path: Annotated[list[Path], typer.Argument(help="An episode file, more of the same robot pale behind it; or run folders.")],
-    out: Annotated[Path | None, typer.Option(help="File to write: .png, .pdf or .svg; by default joints.png or curves.png.")] = None,
-    against: Annotated[str, typer.Option(help="Of runs: episodes, updates or steps; by default episodes if all are live.")] = "",
+    path: Annotated[
+        list[Path],
+        typer.Argument(
+            help="An episode file, more of the same robot pale behind it; or run folders."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write: .png, .pdf or .svg; by default joints.png or curves.png."
+        ),
+    ] = None,
+    against: Annotated[
+        str,
+        typer.Option(
+            help="Of runs: episodes, updates or steps; by default episodes if all are live."
+        ),
+    ] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Draw an episode, or how runs learnt.
 
-    An episode: joint angles and hand paths; of a smoothed one the knots, the spline, and p of each joint. Runs: score, success and
-    clean success, mean and standard deviation over the runs that differ in nothing but the seed, a row of panels for each scene.
+    An episode: joint angles and hand paths; of a smoothed one the knots, the spline, and p of each
+    joint. Runs: score, success and clean success, mean and standard deviation over the runs that
+    differ in nothing but the seed, a row of panels for each scene.
 
     Examples:
 
@@ -32,10 +48,14 @@ def plot(
     """
     missing = [item for item in path if not item.exists()]
     if missing:
-        raise ConfigError(f"{missing[0]}: expected an episode file or a run folder, found nothing of that name")
+        raise ConfigError(
+            f"{missing[0]}: expected an episode file or a run folder, found nothing of that name"
+        )
     folders = [item for item in path if item.is_dir()]
     if folders and len(folders) < len(path):
-        raise ConfigError(f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart")
+        raise ConfigError(
+            f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart"
+        )
     if folders:
         target = out or Path("curves.png")
         _curves(folders, target, against=against, force=force)
@@ -66,6 +86,11 @@ def _joints(paths: list[Path], out: Path, *, force: bool) -> None:
 
     first, *behind = [read_episode(item) for item in paths]
     for item, other in zip(paths[1:], behind, strict=True):
-        if other.header.layout != first.header.layout or other.header.env["action_joints"] != first.header.env["action_joints"]:
-            raise SpecError(f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot them apart")
+        if (
+            other.header.layout != first.header.layout
+            or other.header.env["action_joints"] != first.header.env["action_joints"]
+        ):
+            raise SpecError(
+                f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot them apart"
+            )
     save(joints_figure(first, read_attachments(paths[0]), behind=behind), out, force=force)

@@ -10,8 +10,8 @@ from coordlog.errors import ConfigError, SpecError, unknown
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
-    from coordlog.rollout import Policy
     from coordlog.sim.env import BatchEnv
+    from coordlog.sim.rollout import Policy
 
 SUFFIX = ".safetensors"
 FILES = ("best", "policy")
@@ -33,63 +33,80 @@ def pretrained(scene: str) -> Path:
     file = SHIPPED / f"{scene}{SUFFIX}"
     if not file.is_file():
         names = ", ".join(sorted(path.stem for path in SHIPPED.glob(f"*{SUFFIX}")))
-        raise ConfigError(f"no policy ships for scene '{scene}'; one does for: {names}; others come from `coordlog train`")
+        raise ConfigError(
+            f"no policy ships for scene '{scene}'; one does for: {names}; others come from `coordlog train`"
+        )
     return file
 
 
 def policy_file(name: str, scene: str) -> Path | None:
-    """The file that a name means: a policy file, one without its suffix, a run folder, or the scene's shipped policy.
+    """The file that a name means: a policy file, one without its suffix, a run folder, or the
+    scene's shipped policy.
 
     None for a scripted policy's name.
 
     Raises:
         ConfigError: if the name is none of these.
     """
-    from coordlog.scripted import SCRIPTED
+    from coordlog.policies.scripted import SCRIPTED
 
     if name in SCRIPTED:
         return None
     if name == PRETRAINED:
         return pretrained(scene)
     path = Path(name)
-    candidates = [path, path.with_name(path.name + SUFFIX), *(path / f"{file}{SUFFIX}" for file in FILES)]
+    candidates = [
+        path,
+        path.with_name(path.name + SUFFIX),
+        *(path / f"{file}{SUFFIX}" for file in FILES),
+    ]
     for candidate in candidates:
         if candidate.is_file():
             return candidate
     if "/" in name or path.exists():
-        raise ConfigError(f"{name}: expected a policy file or a run folder with {FILES[0]}{SUFFIX}, found none")
+        raise ConfigError(
+            f"{name}: expected a policy file or a run folder with {FILES[0]}{SUFFIX}, found none"
+        )
     raise unknown("policy", name, [*SCRIPTED, PRETRAINED, "a run folder or policy file"])
 
 
 def about(file: Path) -> Json:
-    """What a policy file says of itself: scene, env (the `coordlog.env` record it was trained in), and how it was trained.
+    """What a policy file says of itself: scene, env (the `coordlog.env` record it was trained in),
+    and how it was trained.
 
     Raises:
         FormatError: if it is no policy file.
     """
-    from coordlog.train.policy import Policy as Trained
+    from coordlog.policies.learned import Policy as Trained
 
     return Trained.load(file).about
 
 
 def wants_shield(name: str, scene: str) -> bool:
-    """Whether a policy is meant to act behind the shield: one that ships says so on its card, no other does."""
-    return name == PRETRAINED and bool(json.loads(pretrained(scene).with_suffix(".json").read_text(encoding="utf-8"))["shield"])
+    """Whether a policy is meant to act behind the shield: one that ships says so on its card, no
+    other does.
+    """
+    return name == PRETRAINED and bool(
+        json.loads(pretrained(scene).with_suffix(".json").read_text(encoding="utf-8"))["shield"]
+    )
 
 
-def make_policy(name: str, env: BatchEnv, *, shield: bool | None = None) -> tuple[Policy, dict[str, Any]]:
+def make_policy(
+    name: str, env: BatchEnv, *, shield: bool | None = None
+) -> tuple[Policy, dict[str, Any]]:
     """The policy, and its `coordlog.policy` record without noise.
 
     Args:
         name: Of a scripted policy, a run folder, a file, or "pretrained".
         env: Where it is to act.
-        shield: Whether it acts behind a velocity damper (`coordlog.sim.shield`); None: as its card says.
+        shield: Whether it acts behind a velocity damper (`coordlog.policies.damper`); None: as its
+            card says.
 
     Raises:
         ConfigError: for an unknown name, or a shield where there is nothing to be shielded from.
         SpecError: if a trained policy does not fit the environment's state or action.
     """
-    from coordlog.scripted import with_shield
+    from coordlog.policies.scripted import with_shield
 
     chosen, described = _unshielded(name, env)
     if wants_shield(name, env.scene.name) if shield is None else shield:
@@ -98,9 +115,9 @@ def make_policy(name: str, env: BatchEnv, *, shield: bool | None = None) -> tupl
 
 
 def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
+    from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.scripted import scripted
     from coordlog.record.cache import file_digest
-    from coordlog.scripted import scripted
-    from coordlog.train.policy import Policy as Trained
 
     file = policy_file(name, env.scene.name)
     if file is None:

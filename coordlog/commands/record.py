@@ -16,19 +16,35 @@ from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
     from coordlog.record.recorder import Finished, Recorder
-    from coordlog.scoring import Scoreboard
+    from coordlog.sim.scoring import Scoreboard
 
 
 def record(
     scene: Annotated[
-        str, typer.Option(help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table.")
+        str,
+        typer.Option(
+            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table."
+        ),
     ] = "",
-    policy: Annotated[str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")] = "expert",
-    episodes: Annotated[int | None, typer.Option(min=1, help="How many; by default 10, or one per branch.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")] = 0,
-    split: Annotated[str, typer.Option(help="train, or test: problems that training never sees.")] = "train",
-    noise: Annotated[float, typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged.")] = 0.0,
-    noise_correlation: Annotated[float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")] = 0.0,
+    policy: Annotated[
+        str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")
+    ] = "expert",
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="How many; by default 10, or one per branch.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of goals, obstacles, start poses and noise.")
+    ] = 0,
+    split: Annotated[
+        str, typer.Option(help="train, or test: problems that training never sees.")
+    ] = "train",
+    noise: Annotated[
+        float,
+        typer.Option(min=0, help="Standard deviation of Gaussian noise on the actions; logged."),
+    ] = 0.0,
+    noise_correlation: Annotated[
+        float, typer.Option(help="Correlation of the noise from step to step, 0 to below 1.")
+    ] = 0.0,
     shield: Annotated[
         bool | None,
         typer.Option(
@@ -36,21 +52,38 @@ def record(
         ),
     ] = None,
     branch: Annotated[
-        list[Path] | None, typer.Option(help="Folders of logs; each episode begins in one of those, just before it went wrong.")
+        list[Path] | None,
+        typer.Option(
+            help="Folders of logs; each episode begins in one of those, just before it went wrong."
+        ),
     ] = None,
     where: Annotated[str, typer.Option(help='Which of them, in SQL: "not clean".')] = "",
     start: Annotated[str, typer.Option(help="Start pose of the robot.")] = "stand",
-    out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path("logs"),
-    envs: Annotated[int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")] = 16,
-    threads: Annotated[int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")] = 0,
-    config: Annotated[Path | None, typer.Option(help="TOML file with tables [env] and [reward].")] = None,
-    epoch: Annotated[int | None, typer.Option(min=0, help="Start time [ns since 1970]; equal runs then write equal bytes.")] = None,
-    display: Annotated[bool, typer.Option(help="Also write /joint_states and /coordlog/arm/NAME, for viewers.")] = True,
+    out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path(
+        "logs"
+    ),
+    envs: Annotated[
+        int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")
+    ] = 16,
+    threads: Annotated[
+        int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")
+    ] = 0,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file with tables [env] and [reward].")
+    ] = None,
+    epoch: Annotated[
+        int | None,
+        typer.Option(min=0, help="Start time [ns since 1970]; equal runs then write equal bytes."),
+    ] = None,
+    display: Annotated[
+        bool, typer.Option(help="Also write /joint_states and /coordlog/arm/NAME, for viewers.")
+    ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Record episodes, one MCAP file each.
 
-    Without options: 10 episodes of the scripted expert at the table, into logs/. A second run adds to the first.
+    Without options: 10 episodes of the scripted expert at the table, into logs/. A second run adds
+    to the first.
 
     Examples:
 
@@ -65,19 +98,23 @@ def record(
         coordlog record --branch logs/visited --where "not clean" --out logs/corrected
     """
     from coordlog.commands.branches import Branched, Parents
+    from coordlog.policies.scripted import with_noise
     from coordlog.record.recorder import Recorder
-    from coordlog.rollout import rollout
-    from coordlog.scoring import Scoreboard
-    from coordlog.scripted import with_noise
-    from coordlog.sim.scene import find
+    from coordlog.sim.rollout import rollout
+    from coordlog.sim.scoring import Scoreboard
+    from coordlog.tasks.scene import find
 
     if where and not branch:
-        raise ConfigError("--where: chooses among the logs of --branch, of which there are none; name their folders")
+        raise ConfigError(
+            "--where: chooses among the logs of --branch, of which there are none; name their folders"
+        )
     parents = Parents(branch, where=where) if branch else None
     episodes = episodes or (len(parents) if parents else 10)
     asked = scene_of(scene) if scene else find(parents.scene) if parents else None
     if parents and asked and asked.name != parents.scene:
-        raise ConfigError(f"--scene: expected the scene of the logs to branch from, '{parents.scene}', got '{asked.name}'; leave it out")
+        raise ConfigError(
+            f"--scene: expected the scene of the logs to branch from, '{parents.scene}', got '{asked.name}'; leave it out"
+        )
     file = policy_file(policy, asked.name if asked else DEFAULT_SCENE)
     trained = about(file) if file else {}
     place = asked or find(trained.get("scene", DEFAULT_SCENE))
@@ -93,11 +130,17 @@ def record(
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {place.name}", total=episodes, note="")
         make = partial(Branched, parents) if parents else Recorder
-        with make(env, out, policy=described, display=display, epoch=epoch, finished=done.append) as recorder:
+        with make(
+            env, out, policy=described, display=display, epoch=epoch, finished=done.append
+        ) as recorder:
             for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
                 board.add(ids, outcome)
                 steps += len(ids)
-                bar.update(task, completed=len(done), note=f"{steps / (time.perf_counter() - began):,.0f} steps/s")
+                bar.update(
+                    task,
+                    completed=len(done),
+                    note=f"{steps / (time.perf_counter() - began):,.0f} steps/s",
+                )
                 if interrupted:
                     break
         bar.update(task, completed=len(done))
@@ -105,16 +148,22 @@ def record(
     summary["wanted"] = episodes
     _show(summary, out=out, as_json=as_json)
     if interrupted:
-        terminal.note(f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept")
+        terminal.note(
+            f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept"
+        )
         raise typer.Exit(EXIT_INTERRUPTED)
     if summary["aborted"]:
-        terminal.note(f"{summary['aborted']} episodes diverged: they are marked aborted and end with their last sound state")
+        terminal.note(
+            f"{summary['aborted']} episodes diverged: they are marked aborted and end with their last sound state"
+        )
         raise typer.Exit(EXIT_PARTIAL)
 
 
-def _summary(board: Scoreboard, done: list[Finished], recorder: Recorder, *, steps: int, seconds: float) -> dict[str, Any]:
+def _summary(
+    board: Scoreboard, done: list[Finished], recorder: Recorder, *, steps: int, seconds: float
+) -> dict[str, Any]:
     """The figures of a run; rates are of the episodes that ended."""
-    from coordlog.scoring import figures
+    from coordlog.sim.scoring import figures
 
     return {
         "run": recorder.run,
@@ -138,13 +187,19 @@ def _show(summary: dict[str, Any], *, out: Path, as_json: bool) -> None:
         return f"{summary[name]:.1%}" if summary["episodes"] else "-"
 
     pairs = [
-        ("episodes", f"{summary['episodes']} of {summary['wanted']} in {out}/ (run {summary['run']})"),
+        (
+            "episodes",
+            f"{summary['episodes']} of {summary['wanted']} in {out}/ (run {summary['run']})",
+        ),
         ("success", percent("success")),
         ("clean", f"{percent('clean')}   success without collision or fall"),
         ("collisions", f"{percent('collisions')}   of episodes"),
         ("falls", percent("falls")),
         ("mean score", f"{summary['score']:.2f}   -ln(e₁ + e₂) at the last step"),
         ("speed", f"{summary['steps_per_second']:,.0f} steps/s over {summary['steps']:,} steps"),
-        ("size", f"{summary['megabytes']:.1f} MB; recording cost {summary['recording_us_per_step']:.0f} µs/step"),
+        (
+            "size",
+            f"{summary['megabytes']:.1f} MB; recording cost {summary['recording_us_per_step']:.0f} µs/step",
+        ),
     ]
     terminal.facts(pairs)

@@ -13,12 +13,16 @@ from coordlog.commands.environment import scene_of
 from coordlog.errors import StorageError
 
 if TYPE_CHECKING:
-    from coordlog.sim.scene import Scene
+    from coordlog.tasks.scene import Scene
 
 
 def scenes(
-    scene: Annotated[list[str] | None, typer.Argument(help="Only these; FILE.py:NAME for one of your own.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="Render every scene to DIR/NAME.png instead.", metavar="DIR")] = None,
+    scene: Annotated[
+        list[str] | None, typer.Argument(help="Only these; FILE.py:NAME for one of your own.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Render every scene to DIR/NAME.png instead.", metavar="DIR")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """List the scenes and their numbers, or render them.
@@ -31,7 +35,7 @@ def scenes(
 
         coordlog scenes my_robot.py:SCENE
     """
-    from coordlog.sim.scene import SCENES
+    from coordlog.tasks.scene import SCENES
 
     chosen = [scene_of(name) for name in scene] if scene else list(SCENES.values())
     if picture is not None:
@@ -43,18 +47,34 @@ def scenes(
         return
     for row in rows:
         about = f"{row['robot']}, {row['joints']} joints in the action, {row['state']} numbers in the state, arms {', '.join(row['arms'])}"
-        obstacles = [("obstacle" if i == 0 else "", text) for i, text in enumerate(row["obstacles"])]
-        terminal.facts([("robot", about), ("goals", row["goals"]), *obstacles], title=f"\n{row['scene']}: {row['about']}")
+        obstacles = [
+            ("obstacle" if i == 0 else "", text) for i, text in enumerate(row["obstacles"])
+        ]
+        terminal.facts(
+            [("robot", about), ("goals", row["goals"]), *obstacles],
+            title=f"\n{row['scene']}: {row['about']}",
+        )
 
 
 def _row(scene: Scene) -> dict[str, Any]:
     from coordlog.sim.env import BatchEnv
 
     layout = BatchEnv(scene, n=1, threads=1).layout
-    panels = [f"{panel.name} at {_point(panel.centre)}, half extents {_point(panel.half)}" for panel in scene.panels]
+    panels = [
+        f"{panel.name} at {_point(panel.centre)}, half extents {_point(panel.half)}"
+        for panel in scene.panels
+    ]
     low, high = scene.sphere_radius
-    spheres = [f"{scene.spheres} spheres, radius {low}-{high} m, in {_box(scene.sphere_box)}"] if scene.spheres else []
-    beside = f"{scene.palm_offset} m to the left and right of a point in {_box(scene.object_box)}" if scene.object_box else ""
+    spheres = (
+        [f"{scene.spheres} spheres, radius {low}-{high} m, in {_box(scene.sphere_box)}"]
+        if scene.spheres
+        else []
+    )
+    beside = (
+        f"{scene.palm_offset} m to the left and right of a point in {_box(scene.object_box)}"
+        if scene.object_box
+        else ""
+    )
     return {
         "scene": scene.name,
         "robot": scene.robot.name,
@@ -68,7 +88,7 @@ def _row(scene: Scene) -> dict[str, Any]:
 
 
 def _render(scenes: Sequence[Scene], folder: Path) -> None:
-    from coordlog.sim.picture import picture, write_png
+    from coordlog.sim.render import picture, write_png
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -77,7 +97,9 @@ def _render(scenes: Sequence[Scene], folder: Path) -> None:
     for scene in scenes:
         path = folder / f"{scene.name}.png"
         if path.exists():
-            raise StorageError(f"{path}: the file exists and is not overwritten; choose another folder")
+            raise StorageError(
+                f"{path}: the file exists and is not overwritten; choose another folder"
+            )
         write_png(path, picture(scene))
         terminal.out.print(str(path), highlight=False)
 
@@ -87,4 +109,6 @@ def _point(values: tuple[float, ...]) -> str:
 
 
 def _box(box: Any) -> str:
-    return " × ".join(f"[{low:g}, {high:g}]" if high > low else f"{low:g}" for low, high in box) + " m"
+    return (
+        " × ".join(f"[{low:g}, {high:g}]" if high > low else f"{low:g}" for low, high in box) + " m"
+    )

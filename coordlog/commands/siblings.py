@@ -15,9 +15,11 @@ MOST = 20_000
 
 
 def sibling(path: Path) -> tuple[Path, Path] | None:
-    """The raw and the smoothed file of the pair that an episode belongs to, if the other is in the same tree.
+    """The raw and the smoothed file of the pair that an episode belongs to, if the other is in the
+    same tree.
 
-    The tree is the folder above the file's own. Only the ends of files are read; a digest is computed where the header fits.
+    The tree is the folder above the file's own. Only the ends of files are read; a digest is
+    computed where the header fits.
     """
     from coordlog.record.cache import file_digest
 

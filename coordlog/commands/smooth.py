@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.pool import mapped
 from coordlog.commands.smoothing import SKIPPED, Job, smooth_file
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError, StorageError
+from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
@@ -25,22 +25,52 @@ SAID = 20
 
 
 def smooth(
-    path: Annotated[list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")],
-    out: Annotated[Path, typer.Option(help="Folder for the smoothed episodes, laid out as the input.")],
-    method: Annotated[str, typer.Option(help="local, shared, or paper (joint by joint, the knots alone deciding).")] = "local",
-    cutoff: Annotated[float | None, typer.Option(help="Lowest cut-off; without it, as smooth as the rules allow.", metavar="HZ")] = None,
-    max_deviation: Annotated[float | None, typer.Option(help="Farthest a joint may go from the log.", metavar="RAD")] = None,
-    clearance: Annotated[float, typer.Option(help="Distance to keep from the scene and from other limbs.", metavar="M")] = 0.005,
-    report: Annotated[Path | None, typer.Option(help="Write every figure of every episode to this JSON file.", metavar="FILE")] = None,
+    path: Annotated[
+        list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder for the smoothed episodes, laid out as the input.")
+    ],
+    method: Annotated[
+        str,
+        typer.Option(help="local, shared, or paper (joint by joint, the knots alone deciding)."),
+    ] = "local",
+    cutoff: Annotated[
+        float | None,
+        typer.Option(
+            help="Lowest cut-off; without it, as smooth as the rules allow.", metavar="HZ"
+        ),
+    ] = None,
+    max_deviation: Annotated[
+        float | None, typer.Option(help="Farthest a joint may go from the log.", metavar="RAD")
+    ] = None,
+    clearance: Annotated[
+        float,
+        typer.Option(help="Distance to keep from the scene and from other limbs.", metavar="M"),
+    ] = 0.005,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Write every figure of every episode to this JSON file.", metavar="FILE"),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Smooth and execute, show the figures, write no episode.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace outputs made with other settings or from other files.")] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Smooth and execute, show the figures, write no episode."),
+    ] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Replace outputs made with other settings or from other files."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
-    """Smooth the joint paths of recorded episodes, execute them in the simulation, and record that as episodes.
+    """Smooth the joint paths of recorded episodes, execute them in the simulation, and record that
+    as episodes.
 
-    Every usable input gives one output of the same name: the execution, with knots and spline, where it is proven and no worse than
-    the log; otherwise the log's own steps and the reason. The logs are never touched. Outputs that are there are not made again.
+    Every usable input gives one output of the same name: the execution, with knots and spline,
+    where it is proven and no worse than the log; otherwise the log's own steps and the reason. The
+    logs are never touched. Outputs that are there are not made again.
 
     Exit code 3 if an episode kept its own steps or an input could not be used; each is named.
 
@@ -52,10 +82,17 @@ def smooth(
     """
     from coordlog.smooth.config import Config
 
-    settings = {"method": method, "cutoff": "max" if cutoff is None else cutoff, "max_deviation": max_deviation, "clearance": clearance}
+    settings = {
+        "method": method,
+        "cutoff": "max" if cutoff is None else cutoff,
+        "max_deviation": max_deviation,
+        "clearance": clearance,
+    }
     Config.of(**settings)
     if report is not None and report.exists() and not force:
-        raise StorageError(f"{report}: the file exists and is not overwritten; choose another name, or pass --force")
+        raise StorageError(
+            f"{report}: the file exists and is not overwritten; choose another name, or pass --force"
+        )
     work, parts = _plan(path, out, settings, write=not dry_run, force=force)
     rows: list[Json] = []
     began = time.perf_counter()
@@ -64,7 +101,11 @@ def smooth(
         for row in mapped(smooth_file, work, jobs=jobs):
             rows.append(row)
             counts = Counter(each["status"] for each in rows)
-            bar.update(task, advance=1, note=", ".join(f"{counts[name]} {name}" for name in STATUSES if counts[name]))
+            bar.update(
+                task,
+                advance=1,
+                note=", ".join(f"{counts[name]} {name}" for name in STATUSES if counts[name]),
+            )
             if interrupted:
                 break
     summary = _summary(rows, settings, wanted=len(work), seconds=time.perf_counter() - began)
@@ -76,17 +117,24 @@ def smooth(
     else:
         _show(summary, out=None if dry_run else out)
     if interrupted:
-        terminal.note(f"interrupted after {len(rows)} of {len(work)} episodes; the same command goes on where it stopped")
+        terminal.note(
+            f"interrupted after {len(rows)} of {len(work)} episodes; the same command goes on where it stopped"
+        )
         raise typer.Exit(EXIT_INTERRUPTED)
-    if parts or any(row["status"] == SKIPPED or row["parameters"]["steps_of"] == "log" for row in rows):
+    if parts or any(
+        row["status"] == SKIPPED or row["parameters"]["steps_of"] == "log" for row in rows
+    ):
         raise typer.Exit(EXIT_PARTIAL)
 
 
-def _plan(paths: Sequence[Path], out: Path, settings: Json, *, write: bool, force: bool) -> tuple[list[Job], tuple[Path, ...]]:
+def _plan(
+    paths: Sequence[Path], out: Path, settings: Json, *, write: bool, force: bool
+) -> tuple[list[Job], tuple[Path, ...]]:
     """One job for every file, and the part files that are no episodes yet.
 
     Raises:
-        ConfigError: if an output could come to lie among the inputs, or two inputs would give one output.
+        ConfigError: if an output could come to lie among the inputs, or two inputs would give one
+            output.
         StorageError: if a path does not exist.
     """
     from coordlog.record.dataset import find_files
@@ -102,14 +150,18 @@ def _plan(paths: Sequence[Path], out: Path, settings: Json, *, write: bool, forc
                 f"--out {out}: expected a folder apart from the input {path}, got one inside the other; logs are never changed in place"
             )
         if not here.is_dir() and here.is_relative_to(whole):
-            raise ConfigError(f"--out {out}: expected a folder that does not hold the input {path}; logs are never changed in place")
+            raise ConfigError(
+                f"--out {out}: expected a folder that does not hold the input {path}; logs are never changed in place"
+            )
         found = find_files(path)
         parts += found.parts
         for source in found.paths:
             below = source.relative_to(path) if path.is_dir() else Path(source.name)
             target = out / (Path(here.name) / below if folders > 1 and path.is_dir() else below)
             if target in work and work[target].source.resolve() != source.resolve():
-                raise ConfigError(f"{source} and {work[target].source} would both become {target}; smooth them into separate folders")
+                raise ConfigError(
+                    f"{source} and {work[target].source} would both become {target}; smooth them into separate folders"
+                )
             work[target] = Job(source, target, settings, write, force)
     return list(work.values()), parts
 
@@ -126,15 +178,38 @@ def _summary(rows: list[Json], settings: Json, *, wanted: int, seconds: float) -
         "resumed": sum(row["resumed"] for row in rows),
         "certified": sum(bool(row["parameters"].get("certified")) for row in rows),
         "median": {
-            "jerk": _median([_ratio(each["before"]["jerk"], each["after"]["jerk"]) for each in done]),
-            "acceleration": _median([_ratio(each["before"]["acceleration"], each["after"]["acceleration"]) for each in done]),
-            "torque_rate": _median([_ratio(each["torque"]["before"]["rate"], each["torque"]["after"]["rate"]) for each in done]),
-            "path_torque_rate": _median(
-                [_ratio(*(each["path_torque"][at]["rate"] for at in ("before", "after"))) for each in done if "path_torque" in each]
+            "jerk": _median(
+                [_ratio(each["before"]["jerk"], each["after"]["jerk"]) for each in done]
             ),
-            "torque_peak": _median([_ratio(each["torque"]["before"]["peak"], each["torque"]["after"]["peak"]) for each in done]),
+            "acceleration": _median(
+                [
+                    _ratio(each["before"]["acceleration"], each["after"]["acceleration"])
+                    for each in done
+                ]
+            ),
+            "torque_rate": _median(
+                [
+                    _ratio(each["torque"]["before"]["rate"], each["torque"]["after"]["rate"])
+                    for each in done
+                ]
+            ),
+            "path_torque_rate": _median(
+                [
+                    _ratio(*(each["path_torque"][at]["rate"] for at in ("before", "after")))
+                    for each in done
+                    if "path_torque" in each
+                ]
+            ),
+            "torque_peak": _median(
+                [
+                    _ratio(each["torque"]["before"]["peak"], each["torque"]["after"]["peak"])
+                    for each in done
+                ]
+            ),
             "max_deviation": _median([each["after"]["max_deviation"] for each in done]),
-            "cpu": _median([row["cpu"] for row in rows if not row["resumed"] and row["status"] != SKIPPED]),
+            "cpu": _median(
+                [row["cpu"] for row in rows if not row["resumed"] and row["status"] != SKIPPED]
+            ),
         },
         "cpu": sum(row["cpu"] for row in rows),
         "seconds": seconds,
@@ -149,13 +224,21 @@ def _ratio(before: float, after: float) -> float | None:
 def _median(values: list[float | None]) -> float | None:
     known = sorted(value for value in values if value is not None)
     middle = len(known) // 2
-    return None if not known else known[middle] if len(known) % 2 else (known[middle - 1] + known[middle]) / 2
+    return (
+        None
+        if not known
+        else known[middle]
+        if len(known) % 2
+        else (known[middle - 1] + known[middle]) / 2
+    )
 
 
 def _write_report(report: Path, summary: Json) -> None:
     try:
         report.parent.mkdir(parents=True, exist_ok=True)
-        report.write_text(json.dumps(summary, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        report.write_text(
+            json.dumps(summary, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
+        )
     except OSError as error:
         raise StorageError(f"{report}: cannot write the report: {error.strerror}") from error
 
@@ -169,7 +252,9 @@ def _show(summary: dict[str, Any], *, out: Path | None) -> None:
     named = [row for row in summary["rows"] if row["reason"]]
     for row in named[:SAID]:
         terminal.note(
-            f"{row['status']}: {row['reason']}" if row["status"] == SKIPPED else f"{row['status']}: {row['source']}: {row['reason']}"
+            f"{row['status']}: {row['reason']}"
+            if row["status"] == SKIPPED
+            else f"{row['status']}: {row['source']}: {row['reason']}"
         )
     if len(named) > SAID:
         terminal.note(f"{len(named) - SAID} more; --report FILE has them all")
@@ -179,14 +264,28 @@ def _show(summary: dict[str, Any], *, out: Path | None) -> None:
     statuses = ", ".join(f"{count} {name}" for name, count in summary["statuses"].items()) or "none"
     pairs = [
         ("episodes", f"{summary['episodes']} of {summary['wanted']}: {statuses}"),
-        ("output", where + (f"; {summary['resumed']} were there already" if summary["resumed"] else "")),
+        (
+            "output",
+            where + (f"; {summary['resumed']} were there already" if summary["resumed"] else ""),
+        ),
         ("certified", f"{summary['certified']}   proven between samples too"),
         ("jerk", share("jerk", "the log's (median, rest-padded RMS)")),
         ("acceleration", share("acceleration", "the log's")),
         ("torque rate", share("torque_rate", "the log's, executed")),
-        ("path's rate", share("path_torque_rate", "the log's, by inverse dynamics along the path alone")),
+        (
+            "path's rate",
+            share("path_torque_rate", "the log's, by inverse dynamics along the path alone"),
+        ),
         ("peak torque", share("torque_peak", "the log's, executed")),
-        ("deviation", "-" if median["max_deviation"] is None else f"{median['max_deviation']:.2f} rad from the log at most (median)"),
-        ("time", f"{summary['seconds']:.1f} s, {(median['cpu'] or 0.0) * 1e3:.0f} ms of processor time for an episode (median)"),
+        (
+            "deviation",
+            "-"
+            if median["max_deviation"] is None
+            else f"{median['max_deviation']:.2f} rad from the log at most (median)",
+        ),
+        (
+            "time",
+            f"{summary['seconds']:.1f} s, {(median['cpu'] or 0.0) * 1e3:.0f} ms of processor time for an episode (median)",
+        ),
     ]
     terminal.facts(pairs)

@@ -1,4 +1,7 @@
-"""What every command says to a person: tables, progress, notes. Results go to standard output, everything else to standard error."""
+"""What every command says to a person: tables, progress, notes.
+
+Results go to standard output, everything else to standard error.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,15 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 PIPED_WIDTH = 180
@@ -32,11 +43,25 @@ def print_json(data: Any) -> None:
     print(json.dumps(data, indent=2, ensure_ascii=False))  # noqa: T201
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = "", right: Sequence[str] = ()) -> None:
+def table(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    *,
+    title: str = "",
+    right: Sequence[str] = (),
+) -> None:
     """A result for a person."""
-    shown = Table(title=title or None, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1))
+    shown = Table(
+        title=title or None,
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+    )
     for name in columns:
-        shown.add_column(name, justify="right" if name in right else "left", no_wrap=True, overflow="ellipsis")
+        shown.add_column(
+            name, justify="right" if name in right else "left", no_wrap=True, overflow="ellipsis"
+        )
     for row in rows:
         shown.add_row(*(str(cell) for cell in row))
     out.print(shown)
@@ -44,7 +69,9 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], *, title: st
 
 def facts(pairs: Sequence[tuple[str, object]], *, title: str = "") -> None:
     """A short list of names and values."""
-    shown = Table(title=title or None, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    shown = Table(
+        title=title or None, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0)
+    )
     for name, value in pairs:
         shown.add_row(f"[bold]{name}[/bold]", str(value))
     out.print(shown)
@@ -52,8 +79,20 @@ def facts(pairs: Sequence[tuple[str, object]], *, title: str = "") -> None:
 
 def progress() -> Progress:
     """A progress bar on standard error; silent where that is no terminal."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TaskProgressColumn())
-    return Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[note]}"), console=err, disable=not err.is_terminal)
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TaskProgressColumn(),
+    )
+    return Progress(
+        *columns,
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=err,
+        disable=not err.is_terminal,
+    )
 
 
 class Interruption:
@@ -73,9 +112,15 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Let the first Ctrl-C be a flag that the loop looks at between two steps; the second interrupts at once."""
+    """Let the first Ctrl-C be a flag that the loop looks at between two steps.
+
+    The second interrupts at once.
+    """
     interruption = Interruption()
-    before = {number: signal.signal(number, interruption._receive) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, interruption._receive)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield interruption
     finally:

@@ -26,32 +26,87 @@ if TYPE_CHECKING:
 
 
 def train(
-    source: Annotated[list[Path] | None, typer.Option("--from", help="Folders of logs to learn from; may be repeated.")] = None,
-    live: Annotated[bool, typer.Option(help="Simulate as well, if there are logs; without --from it always does.")] = False,
-    scene: Annotated[str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")] = "",
-    where: Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")] = "",
-    preset: Annotated[
-        str, typer.Option(help="default, live, or paper: as printed there. Without a word, live if there are no logs, else default.")
-    ] = "",
-    config: Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One setting, section.key=value, also of [env] and [reward]; may be repeated.")
+    source: Annotated[
+        list[Path] | None,
+        typer.Option("--from", help="Folders of logs to learn from; may be repeated."),
     ] = None,
-    updates: Annotated[int | None, typer.Option(min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn.")] = None,
-    steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps; by default the preset's.")] = None,
-    start: Annotated[str, typer.Option(help="Start pose of the robot; evaluations begin in stand and home as well.")] = "stand",
-    hindsight: Annotated[float | None, typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1.")] = None,
+    live: Annotated[
+        bool,
+        typer.Option(help="Simulate as well, if there are logs; without --from it always does."),
+    ] = False,
+    scene: Annotated[
+        str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")
+    ] = "",
+    where: Annotated[
+        str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")
+    ] = "",
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="default, live, or paper: as printed there. Without a word, live if there are no logs, else default."
+        ),
+    ] = "",
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="One setting, section.key=value, also of [env] and [reward]; may be repeated.",
+        ),
+    ] = None,
+    updates: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn."
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Live environment steps; by default the preset's.")
+    ] = None,
+    start: Annotated[
+        str,
+        typer.Option(help="Start pose of the robot; evaluations begin in stand and home as well."),
+    ] = "stand",
+    hindsight: Annotated[
+        float | None,
+        typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     envs: Annotated[int, typer.Option(min=1, help="Live simulations at once.")] = 32,
-    eval_every: Annotated[int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")] = None,
-    eval_episodes: Annotated[int, typer.Option(min=1, help="Held-out episodes per evaluation.")] = 100,
-    out: Annotated[Path | None, typer.Option(help="Run folder; by default runs/SCENE-SOURCE-sSEED.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out, exactly where it stopped.")] = False,
+    eval_every: Annotated[
+        int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")
+    ] = None,
+    eval_episodes: Annotated[
+        int, typer.Option(min=1, help="Held-out episodes per evaluation.")
+    ] = 100,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder; by default runs/SCENE-SOURCE-sSEED.")
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with the run in --out, exactly where it stopped."),
+    ] = False,
     device: Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")] = "cpu",
-    skip_broken: Annotated[bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")] = False,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")] = 0,
-    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard event files into the run folder.")] = False,
-    view: Annotated[bool, typer.Option("--view", help="Watch in rerun: losses, held-out figures, the latest evaluation.")] = False,
+    skip_broken: Annotated[
+        bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
+    ] = 0,
+    tensorboard: Annotated[
+        bool,
+        typer.Option(
+            "--tensorboard", help="Also write TensorBoard event files into the run folder."
+        ),
+    ] = False,
+    view: Annotated[
+        bool,
+        typer.Option(
+            "--view", help="Watch in rerun: losses, held-out figures, the latest evaluation."
+        ),
+    ] = False,
 ) -> None:
     """Learn to reach with DiGrad; every live and every evaluation episode is recorded.
 
@@ -82,7 +137,7 @@ def train(
         tell_doubts,
         watch,
     )
-    from coordlog.sim.scene import find
+    from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
     from coordlog.train.settings import surroundings
@@ -99,7 +154,11 @@ def train(
     tables = read_toml(config) if config else {}
     around, assigned = _around(tables, settings or [])
     # Live steps alone are a budget: without a word about updates, they are as many as the steps earn.
-    earned = ["loop.updates=0"] if steps and updates is None and "updates" not in tables.get("loop", {}) else []
+    earned = (
+        ["loop.updates=0"]
+        if steps and updates is None and "updates" not in tables.get("loop", {})
+        else []
+    )
     preset = preset or _preset(out if resume else None, live=not source)
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
     logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
@@ -107,12 +166,21 @@ def train(
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
     asked = scene
-    place = scene_of(scene) if scene else find(logs.episodes.column("scene")[0].as_py() if logs else "table")
+    place = (
+        scene_of(scene)
+        if scene
+        else find(logs.episodes.column("scene")[0].as_py() if logs else "table")
+    )
     scene = place.name
     folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
     like = true_scene(logs.env(0)) if logs else surroundings(preset)
-    judged = evaluation_envs(place, around, like, start=start, envs=min(EVALUATION_ENVS, eval_episodes))
-    said = _said(scene, mode, judged[""], wanted, logs, envs=envs, where=where) | {"preset": preset, "start": start}
+    judged = evaluation_envs(
+        place, around, like, start=start, envs=min(EVALUATION_ENVS, eval_episodes)
+    )
+    said = _said(scene, mode, judged[""], wanted, logs, envs=envs, where=where) | {
+        "preset": preset,
+        "start": start,
+    }
     if logs:
         require_alike(logs.env(0), said["env"], where=f"scene '{scene}'")
     if mode != "logs" and "reward" in around:
@@ -123,19 +191,25 @@ def train(
         require_tensorboard()
     run = _named(folder, said, wanted, resume=resume)
     if logs and like["reward"] != said["env"]["reward"]:
-        terminal.note("rewards are recomputed from logged distances and flags: the logs were recorded with other constants")
+        terminal.note(
+            "rewards are recomputed from logged distances and flags: the logs were recorded with other constants"
+        )
     with ExitStack() as stack:
         interrupted = stack.enter_context(terminal.interruptible())
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
-        show = Progress(stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events)
+        show = Progress(
+            stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events
+        )
         judge = Judge(judged, folder, run=run, episodes=eval_episodes, window=window)
         recorder = None
         if mode != "logs":
             simulated = practising(place, around, like, wanted, start=start, envs=envs)
             recorder = stack.enter_context(record_training(simulated, folder, run=run))
         hooks = Hooks(evaluate=judge, rank=RANK, on_row=show, should_stop=lambda: bool(interrupted))
-        trainer = assemble(folder, wanted, judged[""], logs, recorder, hooks=hooks, said=said, device=device)
+        trainer = assemble(
+            folder, wanted, judged[""], logs, recorder, hooks=hooks, said=said, device=device
+        )
         if not resume:
             _begin(folder, {**said, "recorder": run}, logs)
         outcome = trainer.run(resume=resume and _has_checkpoint(folder))
@@ -144,7 +218,9 @@ def train(
 
 
 def _preset(resumed: Path | None, *, live: bool) -> str:
-    """The preset of a run that names none: that of the run it goes on with, or by whether it learns from live steps alone."""
+    """The preset of a run that names none: that of the run it goes on with, or by whether it learns
+    from live steps alone.
+    """
     from coordlog.train import run as runs
 
     if resumed is not None:
@@ -152,8 +228,13 @@ def _preset(resumed: Path | None, *, live: bool) -> str:
     return "live" if live else "default"
 
 
-def _around(tables: dict[str, Any], assignments: list[str]) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """The tables [env] and [reward], taken out of the file's, as --set changes them; and the assignments that are not about these."""
+def _around(
+    tables: dict[str, Any], assignments: list[str]
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The tables [env] and [reward], taken out of the file's, as --set changes them.
+
+    And the assignments that are not about these.
+    """
     from coordlog.train.settings import parse_assignment
 
     around, rest = {name: dict(tables.pop(name)) for name in TABLES if name in tables}, []
@@ -166,7 +247,9 @@ def _around(tables: dict[str, Any], assignments: list[str]) -> tuple[dict[str, d
     return around, rest
 
 
-def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]) -> Settings:
+def _settings(
+    tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]
+) -> Settings:
     """Preset, then file, then --set, then the options that have names of their own."""
     from coordlog.train.settings import load_settings
 
@@ -174,7 +257,16 @@ def _settings(tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any
     return load_settings(preset=preset, tables=tables, assignments=[*assignments, *own])
 
 
-def _said(scene: str, mode: str, env: BatchEnv, settings: Settings, logs: Logs | None, *, envs: int, where: str) -> Json:
+def _said(
+    scene: str,
+    mode: str,
+    env: BatchEnv,
+    settings: Settings,
+    logs: Logs | None,
+    *,
+    envs: int,
+    where: str,
+) -> Json:
     """What the run is about, for run.json and for every policy file."""
     digests = logs.episodes.column("digest").to_pylist() if logs else []
     data = hashlib.sha256("".join(digests).encode()).hexdigest() if digests else ""
@@ -192,7 +284,10 @@ def _said(scene: str, mode: str, env: BatchEnv, settings: Settings, logs: Logs |
 
 
 def _named(folder: Path, said: Json, settings: Settings, *, resume: bool) -> str:
-    """The name that the run's recordings carry; nothing is written before all parts of the run are known to fit."""
+    """The name that the run's recordings carry.
+
+    Nothing is written before all parts of the run are known to fit.
+    """
     from coordlog.train import run as runs
     from coordlog.train.settings import refuse_changes
 
@@ -210,7 +305,15 @@ def _named(folder: Path, said: Json, settings: Settings, *, resume: bool) -> str
 def _begin(folder: Path, said: Json, logs: Logs | None) -> None:
     from coordlog.train import run as runs
 
-    data = zip(logs.episodes.column("digest").to_pylist(), logs.episodes.column("file").to_pylist(), strict=True) if logs else []
+    data = (
+        zip(
+            logs.episodes.column("digest").to_pylist(),
+            logs.episodes.column("file").to_pylist(),
+            strict=True,
+        )
+        if logs
+        else []
+    )
     runs.begin(folder, said, data=list(data))
 
 
@@ -221,9 +324,14 @@ def _has_checkpoint(folder: Path) -> bool:
 def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
     """How the run ended, what it achieved, and the exit code."""
     best = outcome.best or {}
-    merit = f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}" if best else ""
+    merit = (
+        f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}"
+        if best
+        else ""
+    )
     terminal.out.print(
-        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}", highlight=False
+        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}",
+        highlight=False,
     )
     if outcome.event is not None:
         terminal.note(f"{outcome.event.name}: {outcome.event.advice}")
@@ -232,6 +340,8 @@ def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
-        terminal.out.print(f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False)
+        terminal.out.print(
+            f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False
+        )
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)

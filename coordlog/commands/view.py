@@ -19,22 +19,41 @@ if TYPE_CHECKING:
 
 
 def view(
-    path: Annotated[list[Path], typer.Argument(help="Episodes to show together, or one folder for an overview.")],
+    path: Annotated[
+        list[Path], typer.Argument(help="Episodes to show together, or one folder for an overview.")
+    ],
     beside: Annotated[
-        Path | None, typer.Option("--with", help="Another episode beside it; by default its smoothed or raw sibling.")
+        Path | None,
+        typer.Option(
+            "--with", help="Another episode beside it; by default its smoothed or raw sibling."
+        ),
     ] = None,
     alone: Annotated[bool, typer.Option("--alone", help="Do not look for a sibling.")] = False,
-    ghosts: Annotated[bool, typer.Option("--ghosts", help="Robots in one place, translucent, instead of side by side.")] = False,
-    save: Annotated[Path | None, typer.Option(help="Write the recording (.rrd) instead of showing it.")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Write a picture (.png); needs no display.")] = None,
-    at: Annotated[float | None, typer.Option(help="Time of the picture [s]; by default the end.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Serve to a browser on this machine (127.0.0.1 only).")] = False,
+    ghosts: Annotated[
+        bool,
+        typer.Option("--ghosts", help="Robots in one place, translucent, instead of side by side."),
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the recording (.rrd) instead of showing it.")
+    ] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(help="Write a picture (.png); needs no display.")
+    ] = None,
+    at: Annotated[
+        float | None, typer.Option(help="Time of the picture [s]; by default the end.")
+    ] = None,
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve to a browser on this machine (127.0.0.1 only).")
+    ] = False,
     port: Annotated[int, typer.Option(min=0, help="Port; 0 for a free one.")] = 0,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Build the recording and show nothing: does it work?")] = False,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Build the recording and show nothing: does it work?")
+    ] = False,
 ) -> None:
     """Show an episode in rerun: the robot, contacts, hand paths, plots, and knots against splines.
 
-    A raw episode brings its smoothed sibling along, and the other way round, found by lineage in the same tree.
+    A raw episode brings its smoothed sibling along, and the other way round, found by lineage in
+    the same tree.
 
     Examples:
 
@@ -46,9 +65,13 @@ def view(
     """
     for target in (save, screenshot):
         if target is not None and target.exists():
-            raise StorageError(f"{target}: the file exists and is not overwritten; choose another name")
+            raise StorageError(
+                f"{target}: the file exists and is not overwritten; choose another name"
+            )
     if len(path) > 1 and any(item.is_dir() for item in path):
-        raise ConfigError("view: expected one folder, or episodes; got a folder among several paths")
+        raise ConfigError(
+            "view: expected one folder, or episodes; got a folder among several paths"
+        )
     if path[0].is_dir():
         stream, partial = _overview(path[0])
     else:
@@ -59,10 +82,24 @@ def view(
         rrd = save or Path(folder) / "episode.rrd"
         _save(stream, rrd)
         if save is not None:
-            terminal.out.print(f"{save}: {terminal.megabytes(save.stat().st_size)}; open it with: rerun {save}", highlight=False)
-        _present(rrd, screenshot=screenshot, at=at, web=web, port=port, window=not (no_open or save or screenshot or web))
+            terminal.out.print(
+                f"{save}: {terminal.megabytes(save.stat().st_size)}; open it with: rerun {save}",
+                highlight=False,
+            )
+        _present(
+            rrd,
+            screenshot=screenshot,
+            at=at,
+            web=web,
+            port=port,
+            window=not (no_open or save or screenshot or web),
+        )
     if partial:
-        terminal.note("some files were left out" if path[0].is_dir() else "aborted or unfinished: shown as far as it goes")
+        terminal.note(
+            "some files were left out"
+            if path[0].is_dir()
+            else "aborted or unfinished: shown as far as it goes"
+        )
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -88,7 +125,7 @@ def _show(path: Path) -> Show:
     """
     from coordlog.record.opening import load, naming
     from coordlog.record.reader import read_attachments, read_episode
-    from coordlog.record.recover import salvaged
+    from coordlog.verify.repair import salvaged
     from coordlog.view.show import Show
 
     try:
@@ -102,15 +139,21 @@ def _show(path: Path) -> Show:
 def _recording(shows: list[Show], *, ghosts: bool) -> Any:
     from coordlog.view.recording import to_rerun
 
-    if len({show.name for show in shows}) < len(shows):  # a smoothed file has the name of its raw one, in another folder
-        shows = [replace(show, name=f"{show.name}-{Path(show.file).resolve().parent.name}") for show in shows]
+    if len({show.name for show in shows}) < len(
+        shows
+    ):  # a smoothed file has the name of its raw one, in another folder
+        shows = [
+            replace(show, name=f"{show.name}-{Path(show.file).resolve().parent.name}")
+            for show in shows
+        ]
     if len({show.name for show in shows}) < len(shows):
         shows = [replace(show, name=f"{show.name}-{i}") for i, show in enumerate(shows, 1)]
     return to_rerun(shows, ghosts=ghosts)
 
 
 def _overview(folder: Path) -> tuple[Any, bool]:
-    """The overview of a folder, and whether files were left out of it because they are broken; they are named.
+    """The overview of a folder, and whether files were left out of it because they are broken; they
+    are named.
 
     Raises:
         ConfigError: if no episode is left.
@@ -137,7 +180,9 @@ def _overview(folder: Path) -> tuple[Any, bool]:
         try:
             stream = to_overview(shows())
         except ConfigError as error:
-            raise ConfigError(f"{folder}: no episode to show; {len(logs.skipped)} files were left out") from error
+            raise ConfigError(
+                f"{folder}: no episode to show; {len(logs.skipped)} files were left out"
+            ) from error
         finally:
             for item in logs.skipped:
                 terminal.note(f"skipped: {item.path}: {item.reason}")
@@ -153,7 +198,9 @@ def _save(stream: Any, rrd: Path) -> None:
         raise StorageError(f"{rrd}: cannot write the recording: {error}") from error
 
 
-def _present(rrd: Path, *, screenshot: Path | None, at: float | None, web: bool, port: int, window: bool) -> None:
+def _present(
+    rrd: Path, *, screenshot: Path | None, at: float | None, web: bool, port: int, window: bool
+) -> None:
     """A picture, a page, or a window, as asked."""
     if screenshot is not None:
         from coordlog.view.headless import screenshot as take
@@ -164,7 +211,13 @@ def _present(rrd: Path, *, screenshot: Path | None, at: float | None, web: bool,
     if web:
         from coordlog.view.web import serve
 
-        serve(rrd, port=port, ready=lambda address: terminal.out.print(f"{address}   (Ctrl-C ends it)", highlight=False))
+        serve(
+            rrd,
+            port=port,
+            ready=lambda address: terminal.out.print(
+                f"{address}   (Ctrl-C ends it)", highlight=False
+            ),
+        )
     if window:
         from coordlog.view.viewer import open_window
 

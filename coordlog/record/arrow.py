@@ -1,6 +1,7 @@
 """Columns of NumPy as Arrow arrays, without copying (bools are packed: Arrow stores them as bits).
 
-A field of width n becomes a fixed-size list of n; every field carries its unit and meaning from `spec`.
+A field of width n becomes a fixed-size list of n; every field carries its unit and meaning from
+`spec`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import pyarrow as pa
 from coordlog.episode import Array
 from coordlog.spec import Field, Layout
 
-EPISODE_INDEX = pa.field("episode", pa.int32(), nullable=False, metadata={"doc": "index of the episode in the data set"})
+EPISODE_INDEX = pa.field(
+    "episode", pa.int32(), nullable=False, metadata={"doc": "index of the episode in the data set"}
+)
 
 
 def arrow_field(item: Field, layout: Layout) -> pa.Field:
@@ -34,4 +37,6 @@ def arrow_array(values: Array, kind: pa.DataType) -> pa.Array:
 def record_batch(fields: Iterable[pa.Field], columns: Mapping[str, Array]) -> pa.RecordBatch:
     """A record batch with these fields, in this order."""
     schema = pa.schema(fields)
-    return pa.record_batch([arrow_array(columns[item.name], item.type) for item in schema], schema=schema)
+    return pa.record_batch(
+        [arrow_array(columns[item.name], item.type) for item in schema], schema=schema
+    )

@@ -1,8 +1,11 @@
-"""Decoded columns kept on disk, so that no file is decoded twice. Deleting the cache only costs time.
+"""Decoded columns kept on disk, so that no file is decoded twice. Deleting the cache only costs
+time.
 
-A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when read) and, written last, one row per episode with its
-final state, its result, what its header says and the sha256 of its file. A shard's name is a digest of the episodes in it: two processes
-that build the same shard write the same file, and either may win. There is no index that could be wrong: the rows say what is there.
+A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when read) and, written
+last, one row per episode with its final state, its result, what its header says and the sha256 of
+its file. A shard's name is a digest of the episodes in it: two processes that build the same shard
+write the same file, and either may win. There is no index that could be wrong: the rows say what is
+there.
 """
 
 from __future__ import annotations
@@ -32,7 +35,16 @@ SHARD = 128
 EDITION = f"{__version__}-1"
 """Shards of another edition are not read."""
 STEPS, EPISODES = ".steps.arrow", ".episodes.arrow"
-STEP_COLUMNS = ("state", "action", "distance", "boundary", "goal", "collision", "instability", "terminated")
+STEP_COLUMNS = (
+    "state",
+    "action",
+    "distance",
+    "boundary",
+    "goal",
+    "collision",
+    "instability",
+    "terminated",
+)
 """What training reads; the rest stays in the files."""
 
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
@@ -54,8 +66,9 @@ class Logs:
     steps: pa.Table
     """One row per step: STEP_COLUMNS."""
     episodes: pa.Table
-    """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene, split, seed, index, robot, policy,
-    noise, start, transform, returns, file, digest, and env (the `coordlog.env` record as JSON)."""
+    """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene,
+    split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
+    `coordlog.env` record as JSON)."""
     skipped: tuple[Skipped, ...]
 
     def __len__(self) -> int:
@@ -92,7 +105,9 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
         folder.mkdir(parents=True, exist_ok=True)
     digests = {path: file_digest(path) for path in paths}
     known = _known(folder)
-    missing = list({digest: path for path, digest in digests.items() if digest not in known}.values())  # of copies, one
+    missing = list(
+        {digest: path for path, digest in digests.items() if digest not in known}.values()
+    )  # of copies, one
     groups, skipped = _alike(missing)
     for built in run(partial(build, folder=folder), groups):
         skipped += built.skipped
@@ -100,7 +115,9 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
     places = [known[digest] for digest in digests.values() if digest in known]
     if not places:
         why = f"; {skipped[0].path}: {skipped[0].reason}" if skipped else ""
-        raise SpecError(f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}")
+        raise SpecError(
+            f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
+        )
     return _gathered(folder, places, tuple(skipped))
 
 
@@ -116,7 +133,9 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
     except SpecError:  # not one of them can be read
         return Built(len(paths), tuple(dataset.skipped))
     episodes = _described(finals, steps)
-    name = hashlib.sha256((EDITION + "".join(episodes.column("digest").to_pylist())).encode()).hexdigest()[:24]
+    name = hashlib.sha256(
+        (EDITION + "".join(episodes.column("digest").to_pylist())).encode()
+    ).hexdigest()[:24]
     _write(folder / f"{name}{STEPS}", steps.select(STEP_COLUMNS))
     _write(folder / f"{name}{EPISODES}", episodes)
     return Built(len(paths), tuple(dataset.skipped))
@@ -144,7 +163,9 @@ def _alike(paths: Sequence[Path]) -> tuple[list[list[Path]], list[Skipped]]:
             continue
         if summary.result.length:
             groups.setdefault(repr((summary.header.layout, summary.header.arms)), []).append(path)
-    return [group[i : i + SHARD] for group in groups.values() for i in range(0, len(group), SHARD)], skipped
+    return [
+        group[i : i + SHARD] for group in groups.values() for i in range(0, len(group), SHARD)
+    ], skipped
 
 
 def _described(finals: pa.Table, steps: pa.Table) -> pa.Table:
@@ -154,10 +175,29 @@ def _described(finals: pa.Table, steps: pa.Table) -> pa.Table:
     for name in finals.column("file").to_pylist():
         header = read_summary(name).header
         policy = header.policy
-        row = {key: header.episode[key] for key in ("scene", "split", "seed", "index", "robot", "start")}
-        row |= {"policy": policy["name"], "noise": float(policy["noise"].get("sigma", 0.0)), "transform": header.lineage["transform"]}
+        row = {
+            key: header.episode[key]
+            for key in ("scene", "split", "seed", "index", "robot", "start")
+        }
+        row |= {
+            "policy": policy["name"],
+            "noise": float(policy["noise"].get("sigma", 0.0)),
+            "transform": header.lineage["transform"],
+        }
         rows.append({**row, "env": json.dumps(header.env), "digest": file_digest(Path(name))})
-    table = finals.select(["state", "length", "success", "clean", "terminated", "truncated", "aborted", "returns", "file"])
+    table = finals.select(
+        [
+            "state",
+            "length",
+            "success",
+            "clean",
+            "terminated",
+            "truncated",
+            "aborted",
+            "returns",
+            "file",
+        ]
+    )
     for column, flag in (("collided", "collision"), ("fell", "instability")):
         values = np.logical_or.reduceat(steps.column(flag).to_numpy(zero_copy_only=False), starts)
         table = table.append_column(column, pa.array(values))
@@ -197,18 +237,33 @@ def _mapped(path: Path) -> pa.Table:
         return pa.ipc.open_file(pa.memory_map(str(path))).read_all()
 
 
-def _gathered(folder: Path, places: Sequence[tuple[str, int]], skipped: tuple[Skipped, ...]) -> Logs:
+def _gathered(
+    folder: Path, places: Sequence[tuple[str, int]], skipped: tuple[Skipped, ...]
+) -> Logs:
     """The episodes at these places, over the memory of the shards."""
-    shards = {name: Logs(_mapped(folder / f"{name}{STEPS}"), _mapped(folder / f"{name}{EPISODES}"), ()) for name, _ in set(places)}
+    shards = {
+        name: Logs(_mapped(folder / f"{name}{STEPS}"), _mapped(folder / f"{name}{EPISODES}"), ())
+        for name, _ in set(places)
+    }
     parts: list[Logs] = []
     for name, members in _runs(places):
         whole = shards[name]
         parts.append(whole if members == list(range(len(whole))) else whole.select(members))
-    widths = {part.episodes.schema.field("state").type for part in parts} | {part.steps.schema for part in parts}
+    widths = {part.episodes.schema.field("state").type for part in parts} | {
+        part.steps.schema for part in parts
+    }
     if len(widths) > 2:
-        names = sorted({str(name) for part in parts for name in part.episodes.column("robot").to_pylist()})
-        raise SpecError(f"logs of several layouts (robots: {', '.join(names)}): learn from one robot and one state layout at a time")
-    return Logs(pa.concat_tables([part.steps for part in parts]), pa.concat_tables([part.episodes for part in parts]), skipped)
+        names = sorted(
+            {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
+        )
+        raise SpecError(
+            f"logs of several layouts (robots: {', '.join(names)}): learn from one robot and one state layout at a time"
+        )
+    return Logs(
+        pa.concat_tables([part.steps for part in parts]),
+        pa.concat_tables([part.episodes for part in parts]),
+        skipped,
+    )
 
 
 def _runs(places: Sequence[tuple[str, int]]) -> Iterator[tuple[str, list[int]]]:

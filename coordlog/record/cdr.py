@@ -1,11 +1,14 @@
 """NumPy columns ↔ CDR payloads, whole blocks of messages at once.
 
-Once a robot's lengths are known every message but Contacts has a fixed layout, so a block of messages is one structured
-array: encoding fills its columns over a template that already holds everything constant (encapsulation, sequence lengths,
-padding), decoding is one `np.frombuffer` and a comparison with that template. Contacts are fixed for a given count.
+Once a robot's lengths are known every message but Contacts has a fixed layout, so a block of
+messages is one structured
+array: encoding fills its columns over a template that already holds everything constant
+(encapsulation, sequence lengths, padding), decoding is one `np.frombuffer` and a comparison with
+that template. Contacts are fixed for a given count.
 
-Source: DDS-XTypes 1.3 §7.4.3, plain CDR version 1, little-endian: four bytes of encapsulation, then every value aligned
-to its own size, counted from the end of the encapsulation; a sequence or string is preceded by its uint32 length.
+Source: DDS-XTypes 1.3 §7.4.3, plain CDR version 1, little-endian: four bytes of encapsulation, then
+every value aligned to its own size, counted from the end of the encapsulation; a sequence or string
+is preceded by its uint32 length.
 """
 
 from __future__ import annotations
@@ -24,7 +27,14 @@ from coordlog.spec import Layout, Message
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """CDR version 1, little-endian, no options."""
 
-TYPES = {"int32": "<i4", "uint32": "<u4", "int64": "<i8", "float32": "<f4", "float64": "<f8", "bool": "?"}
+TYPES = {
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "float32": "<f4",
+    "float64": "<f8",
+    "bool": "?",
+}
 """NumPy types of the ROS 2 primitives in use; each is aligned to its size."""
 
 _RAW = "raw bytes"  # a field that overlaps all others
@@ -34,8 +44,9 @@ _RAW = "raw bytes"  # a field that overlaps all others
 class Codec:
     """The fixed layout of one message type: columns in, payloads out, and back.
 
-    `dtype` has one field per variable field of the message, at the place CDR gives it. `template` is a payload whose
-    variable bytes are zero. `fixed` are the indices of all other bytes, and `label` says what each of them is part of.
+    `dtype` has one field per variable field of the message, at the place CDR gives it. `template`
+    is a payload whose variable bytes are zero. `fixed` are the indices of all other bytes, and
+    `label` says what each of them is part of.
     """
 
     name: str
@@ -47,7 +58,10 @@ class Codec:
     flags: Array
 
     def encode(self, rows: Array, columns: Mapping[str, Array]) -> None:
-        """Fill rows that start as copies of the template; `columns` holds (n, …) values by field name."""
+        """Fill rows that start as copies of the template.
+
+        `columns` holds (n, …) values by field name.
+        """
         for name in self.fields:
             rows[name] = columns[name]
 
@@ -55,14 +69,17 @@ class Codec:
         """Contiguous columns by field name out of n payloads.
 
         Raises:
-            FormatError: if a byte that must be constant differs, or a bool is neither 0 nor 1; names the field.
+            FormatError: if a byte that must be constant differs, or a bool is neither 0 nor 1;
+                names the field.
         """
         raw = rows[_RAW]
         differs = raw[:, self.fixed] != np.frombuffer(self.template, np.uint8)[self.fixed]
         if differs.any():
             row, byte = np.argwhere(differs)[0]
             at = int(self.fixed[byte])
-            raise FormatError(f"{self.name} message {row}: {self.label[byte]}: expected byte {self.template[at]}, got {raw[row, at]}")
+            raise FormatError(
+                f"{self.name} message {row}: {self.label[byte]}: expected byte {self.template[at]}, got {raw[row, at]}"
+            )
         if self.flags.size and raw[:, self.flags].max(initial=0) > 1:
             raise FormatError(f"{self.name}: a bool is neither 0 nor 1")
         return {name: np.ascontiguousarray(rows[name]) for name in self.fields}
@@ -80,11 +97,15 @@ class _Wire:
 
     def align(self, size: int, label: str) -> None:
         """Pad to a multiple of `size`, counted from the end of the encapsulation."""
-        self.constant(bytes(-(len(self.template) - len(ENCAPSULATION)) % size), f"padding before {label}")
+        self.constant(
+            bytes(-(len(self.template) - len(ENCAPSULATION)) % size), f"padding before {label}"
+        )
 
     def constant(self, value: bytes, label: str) -> None:
         """Append bytes that are the same in every message."""
-        self.label |= dict.fromkeys(range(len(self.template), len(self.template) + len(value)), label)
+        self.label |= dict.fromkeys(
+            range(len(self.template), len(self.template) + len(value)), label
+        )
         self.template += value
 
     def length(self, value: int, label: str) -> None:
@@ -122,12 +143,23 @@ class _Wire:
         )
         fixed = np.array(sorted(self.label), np.intp)
         label = tuple(self.label[int(at)] for at in fixed)
-        return Codec(name, dtype, bytes(self.template), fixed, label, tuple(self.offsets), np.array(self.flags, np.intp))
+        return Codec(
+            name,
+            dtype,
+            bytes(self.template),
+            fixed,
+            label,
+            tuple(self.offsets),
+            np.array(self.flags, np.intp),
+        )
 
 
 @lru_cache(maxsize=256)
 def message_codec(message: Message, layout: Layout, contacts: int = 0) -> Codec:
-    """The codec of a message of `spec.MESSAGES` for one robot; `contacts` is the length c of Contacts."""
+    """The codec of a message of `spec.MESSAGES` for one robot.
+
+    `contacts` is the length c of Contacts.
+    """
     sizes: dict[str, int] = asdict(layout) | {"n_j": layout.n_j, "c": contacts}
     wire = _Wire()
     for item in message.fields:
@@ -137,7 +169,10 @@ def message_codec(message: Message, layout: Layout, contacts: int = 0) -> Codec:
 
 @lru_cache(maxsize=64)
 def joint_state_codec(names: tuple[str, ...]) -> Codec:
-    """The codec of sensor_msgs/msg/JointState for fixed joint names; columns sec, nanosec, position, velocity."""
+    """The codec of sensor_msgs/msg/JointState for fixed joint names.
+
+    Columns sec, nanosec, position, velocity.
+    """
     wire = _Wire()
     wire.variable("sec", "int32", None)
     wire.variable("nanosec", "uint32", None)

@@ -1,10 +1,11 @@
 """Columns of one topic ↔ MCAP message records ↔ the chunk they are stored in.
 
-A chunk here holds one block of control steps: first the definitions (schemas and channels) that it is the first to use,
-then the messages of every topic in the order of their log time. Building one costs a few NumPy calls per topic instead of
-a Python call per message.
+A chunk here holds one block of control steps: first the definitions (schemas and channels) that it
+is the first to use, then the messages of every topic in the order of their log time. Building one
+costs a few NumPy calls per topic instead of a Python call per message.
 
-Source: MCAP specification, mcap.dev/spec, records Message (0x05), Chunk (0x06) and Message Index (0x07).
+Source: MCAP specification, mcap.dev/spec, records Message (0x05), Chunk (0x06) and Message Index
+(0x07).
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from coordlog.record.cdr import Codec
 from coordlog.record.records import RECORD_HEAD, walk
 
 COMPRESSION, LEVEL = "zstd", -1
-"""Mantissas of float64 states do not compress, whatever the effort: level 1 saves 3 % and takes four times as long to expand."""
+"""Mantissas of float64 states do not compress, whatever the effort: level 1 saves 3 % and takes
+four times as long to expand."""
 
 MAX_CHUNK = 1 << 30
 """Largest chunk we expand, in bytes: a damaged size must not exhaust the memory."""
@@ -35,7 +37,14 @@ _CHUNK_HEAD = struct.Struct("<QQQI")  # start time, end time, uncompressed size,
 _MESSAGE_HEAD = struct.Struct("<BQH")
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
-_PREFIX = {"opcode": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4", "log_time": "<u8", "publish_time": "<u8"}
+_PREFIX = {
+    "opcode": "u1",
+    "length": "<u8",
+    "channel": "<u2",
+    "sequence": "<u4",
+    "log_time": "<u8",
+    "publish_time": "<u8",
+}
 PREFIX_SIZE = 31
 
 _local = threading.local()
@@ -50,7 +59,9 @@ class Batch(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """A chunk record, the message index records that follow it, and what the chunk index says about them."""
+    """A chunk record, the message index records that follow it, and what the chunk index says about
+    them.
+    """
 
     record: bytes
     message_index: bytes
@@ -67,7 +78,9 @@ def _record_dtype(codec: Codec) -> np.dtype[np.void]:
     return np.dtype([*_PREFIX.items(), ("payload", codec.dtype)])
 
 
-def encode(codec: Codec, channel: int, *, log_time: Array, sequence: Array, columns: Mapping[str, Array]) -> Batch:
+def encode(
+    codec: Codec, channel: int, *, log_time: Array, sequence: Array, columns: Mapping[str, Array]
+) -> Batch:
     """Message records for n rows of columns; publish time is log time."""
     dtype, n = _record_dtype(codec), len(log_time)
     head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, dtype.itemsize - RECORD_HEAD.size, channel)
@@ -91,14 +104,20 @@ def decode(codec: Codec, records: Sequence[bytes | memoryview]) -> tuple[Array, 
     rows = np.frombuffer(b"" if others else data, dtype)
     if others or (rows["length"] != wanted).any():
         got = next(iter(others)) - RECORD_HEAD.size if others else rows["length"].max()
-        raise FormatError(f"{codec.name}: expected messages of {wanted} bytes for this robot, got one of {got}")
+        raise FormatError(
+            f"{codec.name}: expected messages of {wanted} bytes for this robot, got one of {got}"
+        )
     if ((rows["opcode"] != Opcode.MESSAGE) | (rows["channel"] != rows["channel"][:1])).any():
-        raise FormatError(f"{codec.name}: expected messages of one channel, got other records between them")
+        raise FormatError(
+            f"{codec.name}: expected messages of one channel, got other records between them"
+        )
     return rows["log_time"], codec.decode(rows["payload"])
 
 
 def compose(definitions: bytes, batches: Sequence[Batch]) -> Chunk:
-    """One chunk out of the messages of several topics, interleaved by log time (equal times: in the order given)."""
+    """One chunk out of the messages of several topics, interleaved by log time (equal times: in the
+    order given).
+    """
     times = np.concatenate([batch.log_time for batch in batches])
     order = np.argsort(times, kind="stable")
     records = [record for batch in batches for record in batch.records]
@@ -108,20 +127,41 @@ def compose(definitions: bytes, batches: Sequence[Batch]) -> Chunk:
     data = b"".join([definitions, *(records[i] for i in order.tolist())])
     packed = _compressor().compress(data)
     start, end = int(times[order[0]]), int(times[order[-1]])
-    head = _CHUNK_HEAD.pack(start, end, len(data), zlib.crc32(data)) + _string(COMPRESSION) + struct.pack("<Q", len(packed))
+    head = (
+        _CHUNK_HEAD.pack(start, end, len(data), zlib.crc32(data))
+        + _string(COMPRESSION)
+        + struct.pack("<Q", len(packed))
+    )
     record = RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(packed)) + head + packed
     index, index_offset = _message_index(batches, offsets)
-    return Chunk(record, index, index_offset, start, end, len(packed), len(data), {b.channel: len(b.records) for b in batches})
+    return Chunk(
+        record,
+        index,
+        index_offset,
+        start,
+        end,
+        len(packed),
+        len(data),
+        {b.channel: len(b.records) for b in batches},
+    )
 
 
 def _message_index(batches: Sequence[Batch], offsets: Array) -> tuple[bytes, dict[int, int]]:
     index, index_offset, first = bytearray(), {}, 0
     for batch in batches:
         entries = np.empty(len(batch.records), _INDEX_ENTRY)
-        entries["log_time"], entries["offset"] = batch.log_time, offsets[first : first + len(entries)]
+        entries["log_time"], entries["offset"] = (
+            batch.log_time,
+            offsets[first : first + len(entries)],
+        )
         first += len(entries)
         index_offset[batch.channel] = len(index)
-        index += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, batch.channel, entries.nbytes) + entries.tobytes()
+        index += (
+            _INDEX_HEAD.pack(
+                Opcode.MESSAGE_INDEX, 6 + entries.nbytes, batch.channel, entries.nbytes
+            )
+            + entries.tobytes()
+        )
     return bytes(index), index_offset
 
 
@@ -135,13 +175,20 @@ def expand(content: memoryview, *, verify: bool = True) -> bytes:
         _, _, size, crc = _CHUNK_HEAD.unpack_from(content)
         (name_length,) = struct.unpack_from("<I", content, _CHUNK_HEAD.size)
         at = _CHUNK_HEAD.size + 4 + name_length
-        compression, (stored,) = bytes(content[_CHUNK_HEAD.size + 4 : at]), struct.unpack_from("<Q", content, at)
+        compression, (stored,) = (
+            bytes(content[_CHUNK_HEAD.size + 4 : at]),
+            struct.unpack_from("<Q", content, at),
+        )
         packed = content[at + 8 :]
         if compression != COMPRESSION.encode() or stored != len(packed):
-            raise FormatError(f"chunk: expected {len(packed)} bytes of {COMPRESSION}, got {stored} of {compression!r}")
+            raise FormatError(
+                f"chunk: expected {len(packed)} bytes of {COMPRESSION}, got {stored} of {compression!r}"
+            )
         declared = zstandard.frame_content_size(packed)
         if declared != size or size > MAX_CHUNK:
-            raise FormatError(f"chunk: expected {size} bytes uncompressed (at most {MAX_CHUNK}), its zstd frame says {declared}")
+            raise FormatError(
+                f"chunk: expected {size} bytes uncompressed (at most {MAX_CHUNK}), its zstd frame says {declared}"
+            )
         data = _decompressor().decompress(packed)
     except (struct.error, zstandard.ZstdError) as error:
         raise FormatError(f"chunk: cannot be expanded: {error}") from None
@@ -167,7 +214,9 @@ def split(data: bytes, start: int) -> dict[int, list[bytes]]:
         FormatError: if anything but messages follows, or they do not fill the chunk exactly.
     """
     messages: dict[int, list[bytes]] = {}
-    kinds: dict[bytes, tuple[list[bytes], int]] = {}  # where records with this head go, and how long they are
+    kinds: dict[
+        bytes, tuple[list[bytes], int]
+    ] = {}  # where records with this head go, and how long they are
     at, size = start, len(data)
     while at + _MESSAGE_HEAD.size <= size:
         head = data[at : at + _MESSAGE_HEAD.size]
@@ -185,19 +234,25 @@ def split(data: bytes, start: int) -> dict[int, list[bytes]]:
 
 
 def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
-    """One channel and its message records in an expanded chunk, through its message index; for messages of equal length.
+    """One channel and its message records in an expanded chunk, through its message index; for
+    messages of equal length.
 
     Raises:
-        FormatError: if the index points to something else; that every record is a message, `decode` verifies.
+        FormatError: if the index points to something else; that every record is a message, `decode`
+            verifies.
     """
     try:
         (channel,) = struct.unpack_from("<H", index)
         offsets = np.frombuffer(index[6:], _INDEX_ENTRY)["offset"].tolist()
-        opcode, length, found = _MESSAGE_HEAD.unpack_from(data, offsets[0]) if offsets else (Opcode.MESSAGE, 0, channel)
+        opcode, length, found = (
+            _MESSAGE_HEAD.unpack_from(data, offsets[0]) if offsets else (Opcode.MESSAGE, 0, channel)
+        )
     except (struct.error, ValueError) as error:
         raise FormatError(f"message index: {error}") from None
     if (opcode, found) != (Opcode.MESSAGE, channel):
-        raise FormatError(f"message index: expected a message of channel {channel} at byte {offsets[0]}, got another record")
+        raise FormatError(
+            f"message index: expected a message of channel {channel} at byte {offsets[0]}, got another record"
+        )
     size = RECORD_HEAD.size + length
     return channel, [data[at : at + size] for at in offsets]
 

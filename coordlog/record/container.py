@@ -1,7 +1,8 @@
 """The records of an MCAP file around its chunks, appended in order with their indexes.
 
-Layout of every file: magic, Header, metadata and attachments known at the start, chunks each followed by its message
-indexes, the closing metadata, DataEnd with the CRC of everything so far, the summary, the footer, magic.
+Layout of every file: magic, Header, metadata and attachments known at the start, chunks each
+followed by its message indexes, the closing metadata, DataEnd with the CRC of everything so far,
+the summary, the footer, magic.
 
 Source: MCAP specification, mcap.dev/spec.
 """
@@ -14,7 +15,16 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, ChunkIndex, DataEnd, Header, MetadataIndex, Statistics, SummaryOffset
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    ChunkIndex,
+    DataEnd,
+    Header,
+    MetadataIndex,
+    Statistics,
+    SummaryOffset,
+)
 
 from coordlog.record.chunk import COMPRESSION, Chunk
 from coordlog.record.records import FOOTER, MAGIC, RECORD_HEAD, pack, pack_metadata
@@ -29,7 +39,10 @@ class Topic(NamedTuple):
 
 
 class Container:
-    """Appends records to a buffer that the owner drains to disk; remembers what the summary must say."""
+    """Appends records to a buffer that the owner drains to disk.
+
+    Remembers what the summary must say.
+    """
 
     def __init__(self, library: str) -> None:
         self._pending: list[bytes] = []
@@ -57,7 +70,11 @@ class Container:
 
     def add_attachment(self, name: str, content: bytes, *, media_type: str, log_time: int) -> None:
         """Append an attachment with its CRC."""
-        data = pack(Attachment(create_time=0, log_time=log_time, name=name, media_type=media_type, data=content))
+        data = pack(
+            Attachment(
+                create_time=0, log_time=log_time, name=name, media_type=media_type, data=content
+            )
+        )
         self._attachments.append(
             AttachmentIndex(
                 offset=self._position,
@@ -72,7 +89,10 @@ class Container:
         self._append(data)
 
     def define(self, topic: Topic) -> bytes:
-        """The records that must stand in a chunk before the first message of a channel; empty if they already do."""
+        """The records that must stand in a chunk before the first message of a channel.
+
+        Empty if they already do.
+        """
         schema = b"" if topic.schema in self._schemas else topic.schema
         channel = b"" if topic.channel in self._channels else topic.channel
         self._schemas[topic.schema] = self._channels[topic.channel] = None
@@ -90,7 +110,9 @@ class Container:
                 message_start_time=chunk.start,
                 message_end_time=chunk.end,
                 message_index_length=len(chunk.message_index),
-                message_index_offsets={channel: index_start + offset for channel, offset in chunk.index_offset.items()},
+                message_index_offsets={
+                    channel: index_start + offset for channel, offset in chunk.index_offset.items()
+                },
                 uncompressed_size=chunk.uncompressed_size,
             )
         )
@@ -105,9 +127,17 @@ class Container:
         start, summary, offsets = self._position, b"", b""
         for opcode, group in self._summary_groups().items():
             if group:  # an offset to an empty group is an error to strict readers
-                offsets += pack(SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group)))
+                offsets += pack(
+                    SummaryOffset(
+                        group_opcode=opcode,
+                        group_start=start + len(summary),
+                        group_length=len(group),
+                    )
+                )
             summary += group
-        footer = FOOTER.pack(Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size, start, start + len(summary), 0)[:-4]
+        footer = FOOTER.pack(
+            Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size, start, start + len(summary), 0
+        )[:-4]
         crc = zlib.crc32(summary + offsets + footer)
         self._append(summary + offsets + footer + struct.pack("<I", crc) + MAGIC)
 

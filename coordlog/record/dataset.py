@@ -1,10 +1,11 @@
 """A folder of logs as one set of episodes: sized, indexable, iterable; read when asked for.
 
-    with_clean = [episode for episode in coordlog.record.dataset.open("logs/") if episode.result.clean]
-    table = coordlog.record.dataset.open("logs/").to_table()      # pyarrow, one row per step
+    with_clean = [episode for episode in coordlog.record.dataset.open("logs/") if
+    episode.result.clean] table = coordlog.record.dataset.open("logs/").to_table()      # pyarrow, one row per step
 
-A file that is not a finished episode is an error that names it; with `skip_broken` it is listed in `skipped` instead.
-Part files belong to recordings in progress or interrupted: they are listed in `parts`, never read.
+A file that is not a finished episode is an error that names it; with `skip_broken` it is listed in
+`skipped` instead. Part files belong to recordings in progress or interrupted: they are listed in
+`parts`, never read.
 """
 
 from __future__ import annotations
@@ -22,7 +23,14 @@ from coordlog.episode import Array, Episode, Result
 from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
 from coordlog.record.messages import decode_final, decode_steps
-from coordlog.record.metadata import ENV, EPISODE, RESULT, decode_layout, decode_result, require_version
+from coordlog.record.metadata import (
+    ENV,
+    EPISODE,
+    RESULT,
+    decode_layout,
+    decode_result,
+    require_version,
+)
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import Contents, contents, probe, read_episode, require_order
 from coordlog.record.storage import PART
@@ -72,11 +80,13 @@ def _below(folder: Path, suffix: str) -> list[Path]:
 
 
 def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> Dataset:
-    """Episodes of files and folders, as a lazy set; looks at both ends of each file and reads nothing else.
+    """Episodes of files and folders, as a lazy set; looks at both ends of each file and reads
+    nothing else.
 
     Args:
         path_or_paths: Files, or folders that are searched at any depth for `*.mcap`.
-        skip_broken: List files that are not finished episodes in `skipped`, and those found damaged when they are read.
+        skip_broken: List files that are not finished episodes in `skipped`, and those found damaged
+            when they are read.
 
     Raises:
         StorageError: if a path does not exist.
@@ -91,7 +101,9 @@ def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> 
 class Dataset(Sequence[Episode]):
     """Episodes by index, in the order of `paths`."""
 
-    def __init__(self, paths: tuple[Path, ...], *, parts: tuple[Path, ...] = (), skip_broken: bool = False) -> None:
+    def __init__(
+        self, paths: tuple[Path, ...], *, parts: tuple[Path, ...] = (), skip_broken: bool = False
+    ) -> None:
         """For use by `open`."""
         self.paths, self.parts = paths, parts
         self.skipped: list[Skipped] = []
@@ -118,7 +130,8 @@ class Dataset(Sequence[Episode]):
                 yield episode
 
     def to_table(self) -> pa.Table:
-        """All steps of all episodes: the columns of `spec.STEP` and `episode`, the index into `paths`.
+        """All steps of all episodes: the columns of `spec.STEP` and `episode`, the index into
+        `paths`.
 
         Raises:
             SpecError: if the episodes are of different robots or tasks.
@@ -136,7 +149,10 @@ class Dataset(Sequence[Episode]):
         return self._table(_final_batch)
 
     def attempt(self, path: Path, read: Callable[[Path], _T]) -> _T | None:
-        """What `read` made of a file; one that is broken is raised, or listed in `skipped` and None."""
+        """What `read` made of a file.
+
+        One that is broken is raised, or listed in `skipped` and None.
+        """
         try:
             return read(path)
         except (FormatError, StorageError) as error:
@@ -150,7 +166,10 @@ class Dataset(Sequence[Episode]):
         batches: list[pa.RecordBatch] = []
         first: _Loaded | None = None
         for start in range(0, len(self.paths), _GROUP):
-            tried = [self.attempt(path, partial(_Loaded, index)) for index, path in enumerate(self.paths[start : start + _GROUP], start)]
+            tried = [
+                self.attempt(path, partial(_Loaded, index))
+                for index, path in enumerate(self.paths[start : start + _GROUP], start)
+            ]
             group = [loaded for loaded in tried if loaded is not None]
             for loaded in group:
                 first = first or loaded
@@ -160,11 +179,16 @@ class Dataset(Sequence[Episode]):
             raise SpecError("no episodes: there are no columns to make a table of")
         return pa.Table.from_batches(batches)
 
-    def _converted(self, group: list[_Loaded], convert: Callable[[list[_Loaded]], pa.RecordBatch]) -> list[pa.RecordBatch]:
+    def _converted(
+        self, group: list[_Loaded], convert: Callable[[list[_Loaded]], pa.RecordBatch]
+    ) -> list[pa.RecordBatch]:
         try:
             return [convert(group)]
         except FormatError:  # some file of the group: one at a time tells which
-            tried = [self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded])) for loaded in group]  # type: ignore[misc]
+            tried = [
+                self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))
+                for loaded in group
+            ]  # type: ignore[misc]
             return [batch for batch in tried if batch is not None]
 
 
@@ -179,14 +203,19 @@ class _Loaded:
             self.layout, self.arms = decode_layout(found.metadata.get(ENV, {}))
             self.result: Result = decode_result(found.metadata.get(RESULT, {}))
         self.index, self.path = index, path
-        self.steps, self.final = found.messages.get(STEP.topic, []), found.messages.get(FINAL.topic, [])
+        self.steps, self.final = (
+            found.messages.get(STEP.topic, []),
+            found.messages.get(FINAL.topic, []),
+        )
 
     def require_same(self, other: _Loaded) -> None:
         """Refuse to mix robots or tasks in one table."""
         for name in ("layout", "arms"):
             mine, its = getattr(self, name), getattr(other, name)
             if mine != its:
-                raise SpecError(f"{other.path}: expected the {name} of {self.path.name}, {mine}, got {its}; open them as separate sets")
+                raise SpecError(
+                    f"{other.path}: expected the {name} of {self.path.name}, {mine}, got {its}; open them as separate sets"
+                )
 
 
 def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], Array]:
@@ -202,17 +231,24 @@ def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], 
 def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
     steps, _, lengths = _decoded(group)
     episode = np.repeat(np.array([loaded.index for loaded in group], np.int32), lengths)
-    return record_batch([EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in STEP.fields)], {"episode": episode, **steps})
+    return record_batch(
+        [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in STEP.fields)],
+        {"episode": episode, **steps},
+    )
 
 
 def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
     _, final, lengths = _decoded(group)
     fields = [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in FINAL.fields[1:])]
-    batch = record_batch(fields, {"episode": np.array([loaded.index for loaded in group], np.int32), **final})
+    batch = record_batch(
+        fields, {"episode": np.array([loaded.index for loaded in group], np.int32), **final}
+    )
     rest = {
         "file": [str(loaded.path) for loaded in group],
         "length": lengths,
-        "returns": pa.array([loaded.result.returns for loaded in group], pa.list_(pa.float64(), group[0].layout.k)),
+        "returns": pa.array(
+            [loaded.result.returns for loaded in group], pa.list_(pa.float64(), group[0].layout.k)
+        ),
     }
     for name in ("success", "clean", "terminated", "truncated", "aborted", "digest"):
         rest[name] = [getattr(loaded.result, name) for loaded in group]

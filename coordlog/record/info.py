@@ -80,7 +80,8 @@ class Summary:
 
 
 def summarise(path_or_paths: File | Iterable[File]) -> Summary:
-    """Summarise files and folders without decoding a message; a broken file becomes an entry of `skipped`.
+    """Summarise files and folders without decoding a message; a broken file becomes an entry of
+    `skipped`.
 
     Raises:
         StorageError: if a path does not exist or cannot be read.

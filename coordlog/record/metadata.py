@@ -1,7 +1,8 @@
 """Header and Result ↔ the string maps of MCAP metadata records.
 
-A string stands as it is, everything else as compact JSON; a string that would read as JSON is quoted, so that decoding
-is exact. Floats keep every bit (shortest repr); dicts keep their order, which for `env["arms"]` is the order of columns.
+A string stands as it is, everything else as compact JSON; a string that would read as JSON is
+quoted, so that decoding is exact. Floats keep every bit (shortest repr); dicts keep their order,
+which for `env["arms"]` is the order of columns.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ RESULT = PREFIX + "result"
 HEADER_RECORDS = tuple(PREFIX + item.name for item in fields(Header))
 """Names of the metadata records that open a file, in order."""
 
-_RESULT_TYPES: dict[str, type] = {item.name: {"int": int, "bool": bool, "str": str}.get(str(item.type), list) for item in fields(Result)}
+_RESULT_TYPES: dict[str, type] = {
+    item.name: {"int": int, "bool": bool, "str": str}.get(str(item.type), list)
+    for item in fields(Result)
+}
 
 MAX_WIDTH = 1 << 16
 """Longest sequence of a message: a damaged layout must not exhaust the memory."""
@@ -52,7 +56,9 @@ def _encode_value(key: str, value: Any) -> str:
     try:
         return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
     except (TypeError, ValueError) as error:
-        raise SpecError(f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: {error}") from None
+        raise SpecError(
+            f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: {error}"
+        ) from None
 
 
 def _decode_value(text: str) -> Any:
@@ -71,7 +77,8 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
     """The header out of a file's metadata records.
 
     Raises:
-        FormatError: if a record or a key that reading depends on is missing, or the schema version is another one.
+        FormatError: if a record or a key that reading depends on is missing, or the schema version
+            is another one.
     """
     require_version(records.get(EPISODE, {}))
     missing = [name for name in HEADER_RECORDS if name not in records]
@@ -83,7 +90,8 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
 
 
 def require_readable(records: Mapping[str, Strings]) -> None:
-    """Hold the records of a header that is about to be written to what `decode_header` wants, without decoding them anew each time.
+    """Hold the records of a header that is about to be written to what `decode_header` wants,
+    without decoding them anew each time.
 
     Raises:
         FormatError: as `decode_header`.
@@ -107,7 +115,8 @@ def _require_env(items: tuple[tuple[str, str], ...]) -> None:
 
 
 def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
-    """Layout and names of the arms out of the metadata record `coordlog.env`: all that decoding messages needs.
+    """Layout and names of the arms out of the metadata record `coordlog.env`: all that decoding
+    messages needs.
 
     Raises:
         FormatError: if a key is missing.
@@ -134,7 +143,9 @@ def require_version(episode: Strings) -> None:
     if version is None:
         raise FormatError(f"metadata {EPISODE}: schema_version missing: not a coordlog episode")
     if version != str(SCHEMA_VERSION):
-        raise FormatError(f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it")
+        raise FormatError(
+            f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it"
+        )
 
 
 def encode_result(result: Result) -> dict[str, str]:
@@ -157,7 +168,9 @@ def decode_result(strings: Strings) -> Result:
 def _require(values: Json, kinds: Mapping[str, type], where: str) -> None:
     for key, kind in kinds.items():
         if type(values.get(key)) is not kind:
-            raise FormatError(f"metadata {where}: '{key}': expected {kind.__name__}, got {values.get(key)!r}")
+            raise FormatError(
+                f"metadata {where}: '{key}': expected {kind.__name__}, got {values.get(key)!r}"
+            )
 
 
 def _require_range(values: Mapping[str, int], limit: int, where: str) -> None:

@@ -1,4 +1,6 @@
-"""Opening a file as an episode: what is refused before a single message is looked at, and in which words."""
+"""Opening a file as an episode: what is refused before a single message is looked at, and in which
+words.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,9 @@ def require_coordlog(data: bytes | memoryview) -> None:
     if span.opcode != Opcode.HEADER or b"coordlog/" not in content:
         text = content.decode("ascii", "replace").strip("\0")
         printable = "".join(letter if letter.isprintable() else " " for letter in text).strip()
-        raise FormatError(f"an MCAP file, but not a coordlog episode: its header says '{printable}'")
+        raise FormatError(
+            f"an MCAP file, but not a coordlog episode: its header says '{printable}'"
+        )
 
 
 def summary_start(tail: bytes | memoryview, size: int) -> int:
@@ -91,7 +95,11 @@ def summary_start(tail: bytes | memoryview, size: int) -> int:
     """
     if len(tail) == TAIL_SIZE and tail[FOOTER.size :] == MAGIC:
         opcode, length, start, _, _ = FOOTER.unpack_from(tail)
-        if opcode == Opcode.FOOTER and length == FOOTER.size - 9 and len(MAGIC) <= start <= size - TAIL_SIZE:
+        if (
+            opcode == Opcode.FOOTER
+            and length == FOOTER.size - 9
+            and len(MAGIC) <= start <= size - TAIL_SIZE
+        ):
             return int(start)
     raise TruncatedError(no_marker(size))
 
@@ -105,7 +113,9 @@ def verify_summary(summary: memoryview) -> None:
     crc = FOOTER.unpack_from(summary, len(summary) - TAIL_SIZE)[-1]
     got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
     if crc != got:
-        raise FormatError(f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog recover` rewrites the file")
+        raise FormatError(
+            f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog recover` rewrites the file"
+        )
 
 
 def no_marker(size: int) -> str:

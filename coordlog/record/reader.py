@@ -1,8 +1,9 @@
 """Episode files back to memory.
 
-`read_episode` takes the file in one read, walks its records, expands and splits the chunks, and decodes each topic with
-one `np.frombuffer`; every chunk's CRC is verified. `read_header`, `read_result` and `read_summary` touch only the two ends.
-A file that is not a finished coordlog episode is refused in one sentence that says what it is instead.
+`read_episode` takes the file in one read, walks its records, expands and splits the chunks, and
+decodes each topic with one `np.frombuffer`; every chunk's CRC is verified. `read_header`,
+`read_result` and `read_summary` touch only the two ends. A file that is not a finished coordlog
+episode is refused in one sentence that says what it is instead.
 """
 
 from __future__ import annotations
@@ -19,12 +20,37 @@ from coordlog.episode import Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import definitions, expand, indexed, split
 from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
-from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result, require_version
-from coordlog.record.opening import File, load, naming, no_marker, opened, require_coordlog, summary_start, verify_summary
-from coordlog.record.records import MAGIC, RECORD_HEAD, TAIL_SIZE, unpack_attachment, unpack_definitions, unpack_metadata, walk
+from coordlog.record.metadata import (
+    HEADER_RECORDS,
+    RESULT,
+    decode_header,
+    decode_result,
+    require_version,
+)
+from coordlog.record.opening import (
+    File,
+    load,
+    naming,
+    no_marker,
+    opened,
+    require_coordlog,
+    summary_start,
+    verify_summary,
+)
+from coordlog.record.records import (
+    MAGIC,
+    RECORD_HEAD,
+    TAIL_SIZE,
+    unpack_attachment,
+    unpack_definitions,
+    unpack_metadata,
+    walk,
+)
 from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
 
-_HEAD = 1 << 16  # enough for the opening metadata of any robot we know; more is read where it is not
+_HEAD = (
+    1 << 16
+)  # enough for the opening metadata of any robot we know; more is read where it is not
 
 
 class Summary(NamedTuple):
@@ -51,7 +77,9 @@ class Contents:
             self._add(channel, records)
 
     def add_indexed(self, data: bytes, index: memoryview, topics: frozenset[str]) -> None:
-        """Add the messages of one channel of an expanded chunk, given its message index, if it is on one of these topics."""
+        """Add the messages of one channel of an expanded chunk, given its message index, if it is
+        on one of these topics.
+        """
         if self.topics.get(int.from_bytes(index[:2], "little")) in topics:
             self._add(*indexed(data, index))
 
@@ -88,7 +116,8 @@ def read_result(path: File) -> Result:
 
 
 def read_summary(path: File) -> Summary:
-    """Header, result and size of a finished episode, from a few small reads at both ends of the file.
+    """Header, result and size of a finished episode, from a few small reads at both ends of the
+    file.
 
     Raises:
         TruncatedError: if there is no commit marker.
@@ -100,7 +129,11 @@ def read_summary(path: File) -> Summary:
         summary = memoryview(os.pread(fd, size - start, start))
         verify_summary(summary)
         for span in walk(summary, 0):
-            offset, length = _metadata_index(summary[span.start : span.end], RESULT) if span.opcode == Opcode.METADATA_INDEX else (0, 0)
+            offset, length = (
+                _metadata_index(summary[span.start : span.end], RESULT)
+                if span.opcode == Opcode.METADATA_INDEX
+                else (0, 0)
+            )
             if length:
                 content = os.pread(fd, length, offset)[RECORD_HEAD.size :]
                 return Summary(header, decode_result(unpack_metadata(content)[1]), size)
@@ -131,7 +164,8 @@ def read_episode(path: File, *, verify: bool = True) -> Episode:
 
     Args:
         path: The file.
-        verify: Refuse a chunk whose CRC differs; False decodes it all the same, to find out what is damaged.
+        verify: Refuse a chunk whose CRC differs; False decodes it all the same, to find out what is
+            damaged.
 
     Raises:
         TruncatedError: if there is no commit marker.
@@ -150,7 +184,11 @@ def read_attachments(path: File) -> dict[str, bytes]:
     """
     data = memoryview(load(path))
     with naming(path):
-        found = [unpack_attachment(data[span.start : span.end]) for span in walk(data) if span.opcode == Opcode.ATTACHMENT]
+        found = [
+            unpack_attachment(data[span.start : span.end])
+            for span in walk(data)
+            if span.opcode == Opcode.ATTACHMENT
+        ]
     return dict(found)
 
 
@@ -160,7 +198,8 @@ def contents(data: bytes, *, verify: bool = True, only: frozenset[str] | None = 
     Args:
         data: All of its bytes.
         verify: Refuse a chunk whose CRC differs.
-        only: Look at these topics alone, found through the message indexes; their messages must be of one length.
+        only: Look at these topics alone, found through the message indexes; their messages must be
+            of one length.
 
     Raises:
         TruncatedError: if there is no commit marker.
@@ -182,7 +221,9 @@ def contents(data: bytes, *, verify: bool = True, only: frozenset[str] | None = 
         elif span.opcode == Opcode.MESSAGE_INDEX and only is not None:
             found.add_indexed(chunk, content, only)
     if at != stop:
-        raise FormatError(f"the record at byte {at} is damaged; `coordlog recover` keeps what comes before it")
+        raise FormatError(
+            f"the record at byte {at} is damaged; `coordlog recover` keeps what comes before it"
+        )
     return found
 
 
@@ -194,13 +235,17 @@ def decode(found: Contents) -> Episode:
     """
     header = decode_header(found.metadata)
     if RESULT not in found.metadata:
-        raise TruncatedError("ends without its commit marker; recover what is complete with `coordlog recover`")
+        raise TruncatedError(
+            "ends without its commit marker; recover what is complete with `coordlog recover`"
+        )
     result = decode_result(found.metadata[RESULT])
     layout, messages = header.layout, found.messages
     steps = decode_steps(messages.get(STEP.topic, []), layout)
     final = decode_final(messages.get(FINAL.topic, []), layout)
     require_order(steps["step"], final["step"], np.array([result.length]))
-    both = {item.name: np.concatenate([steps.pop(item.name), final[item.name]]) for item in FINAL.fields}
+    both = {
+        item.name: np.concatenate([steps.pop(item.name), final[item.name]]) for item in FINAL.fields
+    }
     columns: dict[str, Array] = {**steps, **both}
     del columns["step"]
     path: Path | None = None
@@ -211,14 +256,17 @@ def decode(found: Contents) -> Episode:
 
 
 def require_order(steps: Array, finals: Array, lengths: Array) -> None:
-    """Hold the step numbers of one or more episodes to 0, 1, … and their final states to the lengths.
+    """Hold the step numbers of one or more episodes to 0, 1, … and their final states to the
+    lengths.
 
     Raises:
         FormatError: naming the first step that is not the next one.
     """
     total = int(lengths.sum())
     if len(finals) != len(lengths) or (finals != lengths).any() or len(steps) != total:
-        raise FormatError(f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and final states {finals.tolist()}")
+        raise FormatError(
+            f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and final states {finals.tolist()}"
+        )
     wanted = np.arange(total) - np.repeat(np.cumsum(lengths) - lengths, lengths)
     if (steps != wanted).any():
         row = int(np.flatnonzero(steps != wanted)[0])

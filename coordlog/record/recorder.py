@@ -1,7 +1,9 @@
-"""An environment that records: the same `problem`, `reset` and `step`, and every episode becomes a file.
+"""An environment that records: the same `problem`, `reset` and `step`, and every episode becomes a
+file.
 
-The loop that runs it does not know. Steps are collected per simulation and handed to one writing thread a block at a time, so encoding,
-compression and fsync overlap with the physics. Whatever ends the run, no step that was handed over is lost.
+The loop that runs it does not know. Steps are collected per simulation and handed to one writing
+thread a block at a time, so encoding, compression and fsync overlap with the physics. Whatever ends
+the run, no step that was handed over is lost.
 """
 
 from __future__ import annotations
@@ -22,13 +24,22 @@ from coordlog.episode import CONTACT, Array, Header, Json, Result
 from coordlog.errors import CoordlogError, StorageError
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter
-from coordlog.sim.draw import Problem
 from coordlog.sim.env import BatchEnv
+from coordlog.sim.sampler import Problem
 from coordlog.sim.simulation import Outcome
 from coordlog.spec import FINAL, SCHEMA_VERSION, STEP
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = ("reward", "distance", "boundary", "goal", "collision", "instability", "terminated", "truncated")
+LED_TO = (
+    "reward",
+    "distance",
+    "boundary",
+    "goal",
+    "collision",
+    "instability",
+    "terminated",
+    "truncated",
+)
 BRANCH = "branch"
 """The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512
@@ -46,7 +57,8 @@ class Finished(NamedTuple):
 class Recorder:
     """Records every episode of an environment into a folder, one file each.
 
-    A context manager: leaving it closes the files. Episodes under way are closed as aborted, with all their steps.
+    A context manager: leaving it closes the files. Episodes under way are closed as aborted, with
+    all their steps.
     """
 
     def __init__(
@@ -67,8 +79,10 @@ class Recorder:
             folder: Where; made if missing. Files that are there stay as they are.
             policy: The `coordlog.policy` record: kind, name, checkpoint_sha256, noise.
             display: Also write the topics that viewers plot by name.
-            epoch: Start time of every episode [ns since 1970]; None for the wall clock. With it, equal runs write equal bytes.
-            run: Name of a run to go on with: its finished episodes are not written again, its part files are. "" for a new run.
+            epoch: Start time of every episode [ns since 1970]; None for the wall clock. With it,
+                equal runs write equal bytes.
+            run: Name of a run to go on with: its finished episodes are not written again, its part
+                files are. "" for a new run.
             finished: Called on the writing thread with every finished file.
 
         Raises:
@@ -89,7 +103,8 @@ class Recorder:
         self._rows = self._buffers()
         self._stepping = False
         self.seconds = 0.0
-        """Time that recording has cost so far: on the caller's thread, and processor time of the writing thread [s]."""
+        """Time that recording has cost so far: on the caller's thread, and processor time of the
+        writing thread [s]."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="coordlog-writer")
         self._pending: deque[Future[Any]] = deque()
 
@@ -144,10 +159,12 @@ class Recorder:
         return outcome
 
     def close(self, reason: str = "interrupted") -> None:
-        """Close episodes under way as aborted, wait for the writing thread, and let go of every file.
+        """Close episodes under way as aborted, wait for the writing thread, and let go of every
+        file.
 
         Raises:
-            StorageError: if something could not be written; the part files that stay are named in it.
+            StorageError: if something could not be written; the part files that stay are named in
+                it.
         """
         try:
             for slot, writer in enumerate(self._writers):
@@ -163,9 +180,18 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         try:
-            self.close("interrupted" if error is None or isinstance(error, KeyboardInterrupt) else f"failed: {type(error).__name__}")
+            self.close(
+                "interrupted"
+                if error is None or isinstance(error, KeyboardInterrupt)
+                else f"failed: {type(error).__name__}"
+            )
         except CoordlogError:
             if error is None:
                 raise
@@ -173,7 +199,10 @@ class Recorder:
     def _buffers(self) -> dict[str, Array]:
         layout = self._env.layout
         fields = [item for item in STEP.fields if item.name != "step"]
-        return {item.name: np.zeros((self.n, *layout.shape(item, BLOCK)), dtype=item.type) for item in fields}
+        return {
+            item.name: np.zeros((self.n, *layout.shape(item, BLOCK)), dtype=item.type)
+            for item in fields
+        }
 
     def _present(self, ids: Array) -> dict[str, Array]:
         simulation = self._env.simulation
@@ -187,10 +216,16 @@ class Recorder:
             self._contacts[ids[row]].append(rows)
 
     def _after(self, ids: Array, outcome: Outcome) -> None:
-        for row in np.flatnonzero((self._filled[ids] == BLOCK) | outcome.terminated | outcome.truncated | outcome.diverged):
+        for row in np.flatnonzero(
+            (self._filled[ids] == BLOCK) | outcome.terminated | outcome.truncated | outcome.diverged
+        ):
             slot = int(ids[row])
             if outcome.diverged[row]:
-                self._end(slot, aborted=f"diverged: the state is no number after step {self._env.simulation.steps[slot] - 1}", before=True)
+                self._end(
+                    slot,
+                    aborted=f"diverged: the state is no number after step {self._env.simulation.steps[slot] - 1}",
+                    before=True,
+                )
             elif outcome.terminated[row] or outcome.truncated[row]:
                 self._end(slot, aborted="")
             else:
@@ -203,19 +238,29 @@ class Recorder:
             self._contacts[slot], self._filled[slot] = [], 0
         elif n:
             columns = {name: values[slot, :n].copy() for name, values in self._rows.items()}
-            contacts = np.concatenate(self._contacts[slot]) if self._contacts[slot] else np.zeros(0, dtype=CONTACT)
+            contacts = (
+                np.concatenate(self._contacts[slot])
+                if self._contacts[slot]
+                else np.zeros(0, dtype=CONTACT)
+            )
             self._contacts[slot] = []
             self._filled[slot] = 0
             self._submit(_write, writer, columns, contacts)
 
     def _end(self, slot: int, *, aborted: str, before: bool = False) -> None:
-        """Finish a slot's file; `before` for a final state that is the one before the step under way."""
+        """Finish a slot's file.
+
+        `before` for a final state that is the one before the step under way.
+        """
         writer = self._writers[slot]
         at = int(self._filled[slot])
         if before or self._stepping:
             final = {name: self._rows[name][slot, at].copy() for name in BEFORE}
         else:
-            final = {name: np.array(values[0]) for name, values in self._present(np.array([slot])).items()}
+            final = {
+                name: np.array(values[0])
+                for name, values in self._present(np.array([slot])).items()
+            }
         self._flush(slot)
         self._writers[slot] = None
         if writer is not None:
@@ -239,13 +284,19 @@ class Recorder:
         self.seconds += time.thread_time() - began
 
     def _drain(self, leave: int) -> None:
-        """Raise what failed on the writing thread; wait until no more than `leave` jobs are left."""
+        """Raise what failed on the writing thread.
+
+        Wait until no more than `leave` jobs are left.
+        """
         while self._pending and (len(self._pending) > leave or self._pending[0].done()):
             self._pending.popleft().result()
 
     def _header(self, problem: Problem) -> Header:
         env, start = self._env, time.time_ns() if self._epoch is None else self._epoch
-        name, branch = f"{env.scene.name}/{problem.split}/{problem.seed}/{problem.index}", problem.branch
+        name, branch = (
+            f"{env.scene.name}/{problem.split}/{problem.seed}/{problem.index}",
+            problem.branch,
+        )
         if branch is not None:
             name += f"/{branch.parent}/{len(branch.actions)}"
         episode = {
@@ -265,11 +316,16 @@ class Recorder:
         }
         if branch is None:
             return Header(episode, self._describe, self._policy)
-        lineage = {"parents": [branch.parent], "transform": BRANCH, "parameters": {"step": len(branch.actions)}}
+        lineage = {
+            "parents": [branch.parent],
+            "transform": BRANCH,
+            "parameters": {"step": len(branch.actions)},
+        }
         return Header(episode, self._describe, self._policy, lineage)
 
     def _open(self, header: Header, attachments: dict[str, bytes]) -> EpisodeWriter | None:
-        """A writer under the first free name: what another run has written is never in the way and never replaced.
+        """A writer under the first free name: what another run has written is never in the way and
+        never replaced.
 
         None for an episode that a resumed run had finished before it was stopped.
         """
@@ -295,7 +351,9 @@ def _write(writer: EpisodeWriter, columns: dict[str, Array], contacts: Array) ->
 
 
 def _run_id(describe: Json, policy: Json, start: str, epoch: int | None) -> str:
-    """Eight characters: random, or with a fixed epoch a digest of the settings, so that equal runs have equal names."""
+    """Eight characters: random, or with a fixed epoch a digest of the settings, so that equal runs
+    have equal names.
+    """
     if epoch is None:
         return uuid.uuid4().hex[:8]
     return hashlib.sha256(repr((describe, policy, start, epoch)).encode()).hexdigest()[:8]

@@ -1,4 +1,5 @@
-"""MCAP records as bytes: walking over them, packing and unpacking the few kinds that this package handles itself.
+"""MCAP records as bytes: walking over them, packing and unpacking the few kinds that this package
+handles itself.
 
 Source: MCAP specification, mcap.dev/spec.
 """
@@ -34,8 +35,13 @@ class Span(NamedTuple):
     end: int
 
 
-def walk(data: bytes | memoryview, start: int = len(MAGIC), stop: int | None = None) -> Iterator[Span]:
-    """Every complete record from `start` on; ends silently before one that is cut off or passes `stop`."""
+def walk(
+    data: bytes | memoryview, start: int = len(MAGIC), stop: int | None = None
+) -> Iterator[Span]:
+    """Every complete record from `start` on.
+
+    Ends silently before one that is cut off or passes `stop`.
+    """
     at, stop = start, len(data) if stop is None else stop
     while at + RECORD_HEAD.size <= stop:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -72,7 +78,9 @@ def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     (size,) = _unpack("<I", content, at)
     values, at = {}, at + 4
     if at + size != len(content):
-        raise FormatError(f"metadata {name!r}: expected {len(content) - at} bytes of values, got {size}")
+        raise FormatError(
+            f"metadata {name!r}: expected {len(content) - at} bytes of values, got {size}"
+        )
     while at < len(content):
         key, at = _string(content, at)
         values[key], at = _string(content, at)
@@ -89,16 +97,23 @@ def unpack_attachment(content: memoryview) -> tuple[str, bytes]:
     _, at = _string(content, at)
     (size,) = _unpack("<Q", content, at)
     if at + 8 + size + 4 != len(content):
-        raise FormatError(f"attachment {name!r}: expected {len(content) - at - 12} bytes, got {size}")
+        raise FormatError(
+            f"attachment {name!r}: expected {len(content) - at - 12} bytes, got {size}"
+        )
     (crc,) = _unpack("<I", content, len(content) - 4)
     if crc != zlib.crc32(content[:-4]):
-        raise FormatError(f"attachment {name!r}: expected CRC {crc:08x}, got {zlib.crc32(content[:-4]):08x}")
+        raise FormatError(
+            f"attachment {name!r}: expected CRC {crc:08x}, got {zlib.crc32(content[:-4]):08x}"
+        )
     return name, bytes(content[at + 8 : -4])
 
 
 @lru_cache(maxsize=64)
 def unpack_definitions(records: bytes) -> tuple[tuple[Schema, ...], tuple[Channel, ...]]:
-    """The schemas and channels among the records of a chunk's start or of a summary; the same few bytes in every file."""
+    """The schemas and channels among the records of a chunk's start or of a summary.
+
+    The same few bytes in every file.
+    """
     schemas, channels = [], []
     for span in walk(records, 0):
         stream = ReadDataStream(BytesIO(records[span.start : span.end]))

@@ -1,7 +1,7 @@
 """`spec.MESSAGES` as ros2msg text, the schema every viewer of an episode file parses.
 
-`python -m coordlog.record.schema [FOLDER]` writes `FOLDER/coordlog_msgs/msg/*.msg` (default `schemas`).
-The same text goes into every file, so a log explains itself without coordlog.
+`python -m coordlog.record.schema [FOLDER]` writes `FOLDER/coordlog_msgs/msg/*.msg` (default
+`schemas`). The same text goes into every file, so a log explains itself without coordlog.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ uint32 nanosec
 
 
 def definition(message: Message) -> str:
-    """The ros2msg definition of one message: its purpose, then one field a line with unit and meaning."""
+    """The ros2msg definition of one message: its purpose, then one field a line with unit and
+    meaning.
+    """
     lines = [f"# {message.doc}", f"# coordlog schema version {SCHEMA_VERSION}.", ""]
     lines += [_field(item) for item in message.fields]
     return "\n".join(lines) + "\n"
@@ -53,7 +55,9 @@ def _field(item: Field) -> str:
     return f"{item.type}{array} {item.name}  # {unit}{item.doc}{length}"
 
 
-SCHEMAS: dict[str, str] = {message.name: definition(message) for message in MESSAGES} | {JOINT_STATE_NAME: _JOINT_STATE}
+SCHEMAS: dict[str, str] = {message.name: definition(message) for message in MESSAGES} | {
+    JOINT_STATE_NAME: _JOINT_STATE
+}
 """Schema text by ROS 2 name, dependencies included, as it stands in every file."""
 
 

@@ -1,7 +1,8 @@
 """A file that appears under its name only when it is complete.
 
-`PartFile` is appended to as NAME.part, then made durable and published as NAME. A name that is taken is never taken over,
-whoever else writes into the folder at the same time. Whatever the file system refuses becomes one StorageError.
+`PartFile` is appended to as NAME.part, then made durable and published as NAME. A name that is
+taken is never taken over, whoever else writes into the folder at the same time. Whatever the file
+system refuses becomes one StorageError.
 """
 
 from __future__ import annotations
@@ -21,12 +22,16 @@ _NO_HARD_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, er
 
 @contextmanager
 def translated(path: Path, doing: str, advice: str = "") -> Iterator[None]:
-    """Turn an OSError into a StorageError: what could not be done to which file, why, and what to do."""
+    """Turn an OSError into a StorageError: what could not be done to which file, why, and what to
+    do.
+    """
     try:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise StorageError(f"{path}: cannot {doing}: {reason}" + (f"; {advice}" if advice else "")) from error
+        raise StorageError(
+            f"{path}: cannot {doing}: {reason}" + (f"; {advice}" if advice else "")
+        ) from error
 
 
 class PartFile:
@@ -42,7 +47,9 @@ class PartFile:
         refuse_existing(path)
         refuse_existing(self.part)
         with translated(self.part, "create the file", "does the folder exist and allow writing?"):
-            self._fd = os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            self._fd = os.open(
+                self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666
+            )
 
     def append(self, data: bytes) -> None:
         """Hand all bytes to the operating system: they survive a crash of this process.
@@ -81,7 +88,11 @@ class PartFile:
     @contextmanager
     def _kept(self, doing: str) -> Iterator[None]:
         try:
-            with translated(self.path, doing, f"what was recorded stays in {self.part}: `coordlog recover` reads it"):
+            with translated(
+                self.path,
+                doing,
+                f"what was recorded stays in {self.part}: `coordlog recover` reads it",
+            ):
                 yield
         except StorageError:
             self.close()
@@ -91,14 +102,17 @@ class PartFile:
 def refuse_existing(path: Path) -> None:
     """Raise a StorageError if anything has this name."""
     if os.path.lexists(path):
-        raise StorageError(f"{path}: the file exists and is not overwritten; choose another name or move it away")
+        raise StorageError(
+            f"{path}: the file exists and is not overwritten; choose another name or move it away"
+        )
 
 
 def move_new(source: Path, target: Path) -> None:
     """Rename within a folder, durably, and never over an existing file.
 
-    The name is made with a hard link, which cannot replace anything. Where there are no hard links an empty file reserves the
-    name first, and a crash at that very moment leaves it empty beside the intact source.
+    The name is made with a hard link, which cannot replace anything. Where there are no hard links
+    an empty file reserves the name first, and a crash at that very moment leaves it empty beside
+    the intact source.
 
     Raises:
         OSError: if the target exists or the file system refuses; the source stays.

@@ -1,4 +1,6 @@
-"""What a commit marker says about an episode, defined once: for the writer as it goes, for `check` afterwards."""
+"""What a commit marker says about an episode, defined once: for the writer as it goes, for `check`
+afterwards.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,20 @@ class Tally:
         self._digest = hashlib.sha256()
 
     def add(self, columns: Mapping[str, Array]) -> None:
-        """Count a block of steps in; rewards are added one by one, in order, so that a sum does not depend on the blocks."""
+        """Count a block of steps in.
+
+        Rewards are added one by one, in order, so that a sum does not depend on the blocks.
+        """
         self.length += len(columns["reward"])
         self.returns = np.add.accumulate(np.vstack([self.returns, columns["reward"]]))[-1]
         self.success = self.success or bool(columns["goal"].all(axis=1).any())
-        self.spoiled = self.spoiled or bool(columns["collision"].any() or columns["instability"].any())
-        self.terminated, self.truncated = bool(columns["terminated"][-1]), bool(columns["truncated"][-1])
+        self.spoiled = self.spoiled or bool(
+            columns["collision"].any() or columns["instability"].any()
+        )
+        self.terminated, self.truncated = (
+            bool(columns["terminated"][-1]),
+            bool(columns["truncated"][-1]),
+        )
         self.add_states(columns)
 
     def add_states(self, columns: Mapping[str, Array]) -> None:

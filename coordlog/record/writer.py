@@ -1,8 +1,9 @@
 """One episode to one file, a block of steps at a time.
 
-Header and attachments reach the operating system when the writer opens, every block when it is written: a process that
-dies leaves NAME.mcap.part with everything up to its last block. `finish` writes the final state and the commit marker,
-makes the file durable and gives it its name. Identical input gives identical bytes.
+Header and attachments reach the operating system when the writer opens, every block when it is
+written: a process that dies leaves NAME.mcap.part with everything up to its last block. `finish`
+writes the final state and the commit marker, makes the file durable and gives it its name.
+Identical input gives identical bytes.
 """
 
 from __future__ import annotations
@@ -28,23 +29,33 @@ from coordlog.version import __version__
 
 LIBRARY = f"coordlog/{__version__}"
 BLOCK = 25
-"""Steps in a chunk: a second of simulated time at the default control period, so that no crash costs more."""
+"""Steps in a chunk: a second of simulated time at the default control period, so that no crash
+costs more."""
 
 _NO_CONTACTS = np.empty(0, CONTACT)
 
 
 class EpisodeWriter:
-    """Writes one episode; a context manager that leaves NAME.mcap.part behind unless `finish` was reached.
+    """Writes one episode; a context manager that leaves NAME.mcap.part behind unless `finish` was
+    reached.
 
     Not safe to share between threads, but it may be opened, fed and finished on different ones.
     """
 
-    def __init__(self, path: str | PathLike[str], header: Header, *, attachments: Mapping[str, bytes], display: bool) -> None:
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        header: Header,
+        *,
+        attachments: Mapping[str, bytes],
+        display: bool,
+    ) -> None:
         """Create the part file and write everything known at the start.
 
         Args:
             path: Name of the finished file, ending in `.mcap`.
-            header: Metadata of the episode; `env["joints"]` lists {name, qpos, qvel} of the joints to display.
+            header: Metadata of the episode; `env["joints"]` lists {name, qpos, qvel} of the joints
+                to display.
             attachments: Content by name.
             display: Also write /joint_states and /coordlog/arm/NAME, for viewers.
 
@@ -66,7 +77,9 @@ class EpisodeWriter:
             self._container.add_metadata(name, values)
         for name, content in attachments.items():
             kind = "application/zstd" if name.endswith(".zst") else "application/octet-stream"
-            self._container.add_attachment(name, content, media_type=kind, log_time=header.episode["start_time"])
+            self._container.add_attachment(
+                name, content, media_type=kind, log_time=header.episode["start_time"]
+            )
         self._file = PartFile(FilePath(path))
         self._flush()
 
@@ -85,7 +98,9 @@ class EpisodeWriter:
         """Steps written so far."""
         return self._tally.length
 
-    def write_steps(self, first_step: int, columns: Columns, *, contacts: Array = _NO_CONTACTS) -> None:
+    def write_steps(
+        self, first_step: int, columns: Columns, *, contacts: Array = _NO_CONTACTS
+    ) -> None:
         """Append a block of steps as one chunk and hand it to the operating system.
 
         Args:
@@ -94,19 +109,23 @@ class EpisodeWriter:
             contacts: CONTACT rows of these steps, sorted by step.
 
         Raises:
-            SpecError: if a column is missing or of another shape or type, or the steps do not follow on.
+            SpecError: if a column is missing or of another shape or type, or the steps do not
+                follow on.
             StorageError: if the file system refuses; what came before stays in the part file.
         """
         n = len(columns["time"])
         self._validate(STEP.fields[1:], columns, n)
         if first_step != self.length or n == 0:
-            raise SpecError(f"first_step: expected {self.length} and at least one row, got {first_step} and {n}")
+            raise SpecError(
+                f"first_step: expected {self.length} and at least one row, got {first_step} and {n}"
+            )
         _validate_contacts(contacts, first_step, first_step + n)
         self._write(self._encoder.steps(first_step, columns, contacts))
         self._tally.add(columns)
 
     def finish(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
-        """Write the final state and the commit marker, and publish the file: `seal` and then `publish`.
+        """Write the final state and the commit marker, and publish the file: `seal` and then
+        `publish`.
 
         Args:
             final: time, qpos, qvel, state after the last action, without a step axis.
@@ -118,14 +137,18 @@ class EpisodeWriter:
 
         Raises:
             SpecError: if the final state or the path is not what the layout says.
-            StorageError: if the file system refuses or the name was taken meanwhile; the part file stays.
+            StorageError: if the file system refuses or the name was taken meanwhile; the part file
+                stays.
         """
         result = self.seal(final, aborted=aborted, path=path)
         self.publish()
         return result
 
     def seal(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
-        """Write the final state, the commit marker and the summary; see `finish`. The part file is then complete."""
+        """Write the final state, the commit marker and the summary; see `finish`.
+
+        The part file is then complete.
+        """
         row = {item.name: np.asarray(final[item.name])[None] for item in FINAL.fields[1:]}
         self._validate(FINAL.fields[1:], row, 1)
         batches = {FINAL.topic: self._encoder.final(self.length, row)}
@@ -140,15 +163,20 @@ class EpisodeWriter:
         return result
 
     def publish(self) -> None:
-        """Make a sealed file durable and give it its name; waits for the disk, so it may run on a thread of its own.
+        """Make a sealed file durable and give it its name; waits for the disk, so it may run on a
+        thread of its own.
 
         Raises:
-            StorageError: if the file system refuses or the name was taken meanwhile; the part file stays.
+            StorageError: if the file system refuses or the name was taken meanwhile; the part file
+                stays.
         """
         self._file.publish()
 
     def close(self) -> None:
-        """Let go of the file; an unfinished episode stays as a part file, for `coordlog recover`."""
+        """Let go of the file.
+
+        An unfinished episode stays as a part file, for `coordlog recover`.
+        """
         self._file.close()
 
     def discard(self) -> None:
@@ -158,7 +186,12 @@ class EpisodeWriter:
     def __enter__(self) -> EpisodeWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _write(self, batches: dict[str, Batch]) -> None:
@@ -185,10 +218,14 @@ def _validate_contacts(contacts: Array, first: int, stop: int) -> None:
         raise SpecError(f"contacts: expected rows of {CONTACT.names}, got {contacts.dtype}")
     steps = contacts["step"]
     if len(steps) and (steps[0] < first or steps[-1] >= stop or (np.diff(steps) < 0).any()):
-        raise SpecError(f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to {steps.max()}")
+        raise SpecError(
+            f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to {steps.max()}"
+        )
 
 
-def write_episode(path: str | PathLike[str], episode: Episode, *, attachments: Mapping[str, bytes], display: bool) -> Result:
+def write_episode(
+    path: str | PathLike[str], episode: Episode, *, attachments: Mapping[str, bytes], display: bool
+) -> Result:
     """Write an episode that is in memory; its `result` is computed anew but for `aborted`.
 
     Raises:
@@ -197,7 +234,9 @@ def write_episode(path: str | PathLike[str], episode: Episode, *, attachments: M
     with EpisodeWriter(path, episode.header, attachments=attachments, display=display) as writer:
         for first in range(0, len(episode), BLOCK):
             stop = min(first + BLOCK, len(episode))
-            columns = {item.name: getattr(episode, item.name)[first:stop] for item in STEP.fields[1:]}
+            columns = {
+                item.name: getattr(episode, item.name)[first:stop] for item in STEP.fields[1:]
+            }
             low, high = np.searchsorted(episode.contacts["step"], (first, stop))
             writer.write_steps(first, columns, contacts=episode.contacts[low:high])
         final = {item.name: getattr(episode, item.name)[-1] for item in FINAL.fields[1:]}

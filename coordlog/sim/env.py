@@ -12,28 +12,29 @@ import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
-from coordlog.sim.attached import self_contained
-from coordlog.sim.config import EnvConfig, RewardConfig, to_mapping
-from coordlog.sim.draw import Branch, Draw, Problem
+from coordlog.mjcf import self_contained
+from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics, compile_model
-from coordlog.sim.robot import Robot
-from coordlog.sim.scene import Scene, compose
+from coordlog.sim.sampler import Branch, Draw, Problem
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import Layout
+from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.tasks.scene import Scene, compose
 from coordlog.version import __version__
 
 SETTLE_SECONDS = 4.0
 """The start pose is simulated this long, so that an episode starts at rest."""
 SAME = 0.01
-"""How far a branch may begin from where it was left, in entries of the state: nothing on the machine that recorded it."""
+"""How far a branch may begin from where it was left, in entries of the state: nothing on the
+machine that recorded it."""
 
 
 class BatchEnv:
     """N simulations of one scene on one thread pool.
 
-    The same seed, split and index is the same problem and, action for action, the same episode, bit for bit, whatever N and the number
-    of threads are.
+    The same seed, split and index is the same problem and, action for action, the same episode, bit
+    for bit, whatever N and the number of threads are.
     """
 
     def __init__(
@@ -66,7 +67,9 @@ class BatchEnv:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
         self.text = compose(scene, config)
-        self_contained(self.text.encode())  # a log carries its model as text: what could not be replayed is not recorded
+        self_contained(
+            self.text.encode()
+        )  # a log carries its model as text: what could not be replayed is not recorded
         model = compile_model(self.text)
         self.task = Task(scene.robot, model, config, reward)
         self.physics = Physics(model, n=n, threads=threads)
@@ -75,7 +78,9 @@ class BatchEnv:
         standing = self._rest[1 : 1 + model.nq]
         self.draw = Draw(scene, model, config, standing=standing, start=start)
         self._packed: dict[str, bytes] = {}
-        self._object = int(model.body("object").mocapid[0]) if scene.object_half is not None else None
+        self._object = (
+            int(model.body("object").mocapid[0]) if scene.object_half is not None else None
+        )
 
     @property
     def n(self) -> int:
@@ -88,7 +93,7 @@ class BatchEnv:
         return self.simulation.state
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
-        """The problem of one episode (sim/draw.py)."""
+        """The problem of one episode (sim/sampler.py)."""
         return self.draw.problem(seed=seed, split=split, index=index)
 
     def reset(self, ids: Array, problems: Sequence[Problem]) -> None:
@@ -111,7 +116,11 @@ class BatchEnv:
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
         self.simulation.begin(ids, radii)
-        branched = [(int(sim), problem.branch) for sim, problem in zip(ids, problems, strict=True) if problem.branch is not None]
+        branched = [
+            (int(sim), problem.branch)
+            for sim, problem in zip(ids, problems, strict=True)
+            if problem.branch is not None
+        ]
         for sim, branch in branched:
             self._follow(sim, branch)
 
@@ -130,13 +139,18 @@ class BatchEnv:
         self.simulation.begin(at, self.simulation.radii[at])
 
     def step(self, action: Array, ids: Array) -> Outcome:
-        """Advance simulations `ids` by one control period; actions (len(ids), n_u) float32 in [-1, 1]."""
+        """Advance simulations `ids` by one control period.
+
+        Actions (len(ids), n_u) float32 in [-1, 1].
+        """
         return self.simulation.step(action, ids)
 
     def attachments(self, sim: int) -> dict[str, bytes]:
-        """What a file needs so that it alone can be simulated again: one simulation's model as text and as MJB, and its state.
+        """What a file needs so that it alone can be simulated again: one simulation's model as text
+        and as MJB, and its state.
 
-        Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the model the simulation runs on.
+        Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the
+        model the simulation runs on.
         """
         state = self.physics.rows[sim].tobytes()
         return {**self._model_attachments(sim), INITIAL_STATE: state}
@@ -146,7 +160,10 @@ class BatchEnv:
         if not radii and self._packed:
             return self._packed
         text = compose(self.scene, self.task.config, radii) if radii else self.text
-        packed = {MODEL_XML: _pack(text.encode()), MODEL_MJB: _pack(binary(self.physics.model_of(sim)))}
+        packed = {
+            MODEL_XML: _pack(text.encode()),
+            MODEL_MJB: _pack(binary(self.physics.model_of(sim))),
+        }
         self._packed = packed
         return packed
 
@@ -154,7 +171,13 @@ class BatchEnv:
     def layout(self) -> Layout:
         """The lengths that give every logged field its shape."""
         model = self.task.model
-        return Layout(n_q=model.nq, n_v=model.nv, n_x=len(self.task.view), n_u=len(self.task.servos), k=len(self.scene.robot.arms))
+        return Layout(
+            n_q=model.nq,
+            n_v=model.nv,
+            n_x=len(self.task.view),
+            n_u=len(self.task.servos),
+            k=len(self.scene.robot.arms),
+        )
 
     def describe(self) -> Json:
         """The `coordlog.env` record of every episode of this environment (`episode.Header.env`)."""
@@ -192,11 +215,15 @@ def hinges(model: mujoco.MjModel) -> list[Json]:
     # MuJoCo's enumerators equal plain ints only: an np.int32 is never `in` a tuple of them.
     kinds = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
     joints = (model.joint(int(i)) for i in np.flatnonzero(np.isin(model.jnt_type, kinds)))
-    return [{"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])} for joint in joints]
+    return [
+        {"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])}
+        for joint in joints
+    ]
 
 
 def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
-    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and simulated until it stands still.
+    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and
+    simulated until it stands still.
 
     Raises:
         ConfigError: if the pose names a joint that is not there, or puts one outside its range.
@@ -205,16 +232,22 @@ def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
     for name, angle in robot.poses[pose].items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if joint < 0:
-            raise ConfigError(f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks")
+            raise ConfigError(
+                f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks"
+            )
         low, high = model.jnt_range[joint]
         if model.jnt_limited[joint] and not low <= angle <= high:
-            raise ConfigError(f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}")
+            raise ConfigError(
+                f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}"
+            )
         data.qpos[model.jnt_qposadr[joint]] = angle
     for i in range(model.nu):
         data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
     mujoco.mj_kinematics(model, data)
     if robot.soles:
-        lowest = min(data.site_xpos[i, 2] for i in range(model.nsite) if "_corner_" in model.site(i).name)
+        lowest = min(
+            data.site_xpos[i, 2] for i in range(model.nsite) if "_corner_" in model.site(i).name
+        )
         data.qpos[2] -= lowest
     for _ in range(round(SETTLE_SECONDS / model.opt.timestep)):
         mujoco.mj_step(model, data)

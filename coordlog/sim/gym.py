@@ -1,7 +1,9 @@
-"""One episode at a time behind Gymnasium's interface, goal-conditioned, for people who bring their own learner.
+"""One episode at a time behind Gymnasium's interface, goal-conditioned, for people who bring their
+own learner.
 
-Observations are dicts of `observation`, `achieved_goal` and `desired_goal`, and rewards and endings can be recomputed for other goals,
-so hindsight replay buffers work as they come. The physics, the flags and the rewards are those of sim/simulation.py.
+Observations are dicts of `observation`, `achieved_goal` and `desired_goal`, and rewards and endings
+can be recomputed for other goals, so hindsight replay buffers work as they come. The physics, the
+flags and the rewards are those of sim/simulation.py.
 """
 
 from __future__ import annotations
@@ -15,13 +17,13 @@ from gymnasium import spaces
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, SpecError, unknown
-from coordlog.sim import reward as rules
-from coordlog.sim.config import EnvConfig, RewardConfig
-from coordlog.sim.draw import SPLITS
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.picture import Painter, view_of
-from coordlog.sim.scene import Scene, find
+from coordlog.sim.render import Painter, view_of
+from coordlog.sim.sampler import SPLITS
 from coordlog.sim.simulation import Outcome
+from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.reach import reward as rules
+from coordlog.tasks.scene import Scene, find
 
 OPTIONS = ("index", "split")
 GOAL_PARTS = ("goals", "difference")
@@ -41,12 +43,14 @@ Info = dict[str, Any]
 class GymEnv(gymnasium.Env[Observation, Array]):
     """One scene as a goal-conditioned environment.
 
-    observation: the policy state without what depends on the goals, so that goals can be swapped in hindsight, float32.
-    achieved_goal, desired_goal: all palms and all goals, (3k,) float64 [m], arm after arm.
+    observation: the policy state without what depends on the goals, so that goals can be swapped in
+    hindsight, float32. achieved_goal, desired_goal: all palms and all goals, (3k,) float64 [m], arm
+    after arm.
     reward: the mean of the arms' rewards, which are in `info["rewards"]`.
     truncated: after `config.max_steps` steps; there is no need of a TimeLimit wrapper.
 
-    A reset with a seed starts that seed's first problem, every further reset its next; `options` may name another `index` or `split`.
+    A reset with a seed starts that seed's first problem, every further reset its next; `options`
+    may name another `index` or `split`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - as gymnasium.Env declares it
@@ -75,19 +79,31 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise unknown("render mode", str(render_mode), self.metadata["render_modes"])
         self.render_mode, self._split = render_mode, _known_split(split)
-        self._env = BatchEnv(find(scene) if isinstance(scene, str) else scene, config, reward, threads=1)
+        self._env = BatchEnv(
+            find(scene) if isinstance(scene, str) else scene, config, reward, threads=1
+        )
         self._painter: Painter | None = None
         self._seed, self._index = -1, -1
         self._observation: Observation | None = None
         places = self._env.task.view.places
-        self._seen = np.concatenate([np.arange(place.start, place.stop) for name, place in places.items() if name not in GOAL_PARTS])
+        self._seen = np.concatenate(
+            [
+                np.arange(place.start, place.stop)
+                for name, place in places.items()
+                if name not in GOAL_PARTS
+            ]
+        )
         layout = self._env.layout
         self.action_space = spaces.Box(-1.0, 1.0, (layout.n_u,), np.float32)
         points = spaces.Box(-WORLD_BOUND, WORLD_BOUND, (3 * layout.k,), np.float64)
         state = spaces.Box(-STATE_BOUND, STATE_BOUND, (len(self._seen),), np.float32)
-        self.observation_space = spaces.Dict({"observation": state, "achieved_goal": points, "desired_goal": points})
+        self.observation_space = spaces.Dict(
+            {"observation": state, "achieved_goal": points, "desired_goal": points}
+        )
 
-    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
+    def reset(
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[Observation, Info]:
         """Start an episode.
 
         Args:
@@ -103,7 +119,10 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             if name not in OPTIONS:
                 raise unknown("reset option", name, OPTIONS)
         if seed is not None or self._seed < 0:
-            self._seed, self._index = int(self.np_random.integers(2**31)) if seed is None else seed, -1
+            self._seed, self._index = (
+                int(self.np_random.integers(2**31)) if seed is None else seed,
+                -1,
+            )
         self._index = int(options.get("index", self._index + 1))
         if self._index < 0:
             raise ConfigError(f"reset option 'index': expected a number from 0, got {self._index}")
@@ -116,7 +135,8 @@ class GymEnv(gymnasium.Env[Observation, Array]):
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by one control period.
 
-        A simulation that diverges ends the episode: truncated, reward 0, the observation as it was, and `info["diverged"]`.
+        A simulation that diverges ends the episode: truncated, reward 0, the observation as it was,
+        and `info["diverged"]`.
 
         Raises:
             SpecError: if the action has another shape or is no number.
@@ -125,15 +145,25 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             raise gymnasium.error.ResetNeeded("step: expected a reset first")
         action = np.asarray(action, dtype=np.float32)
         if action.shape != self.action_space.shape or not np.isfinite(action).all():
-            raise SpecError(f"action: expected {self.action_space.shape} numbers in [-1, 1], got shape {action.shape}: {action}")
+            raise SpecError(
+                f"action: expected {self.action_space.shape} numbers in [-1, 1], got shape {action.shape}: {action}"
+            )
         outcome = self._env.step(np.clip(action, -1.0, 1.0)[None], ONE)
         info = self._info(outcome)
         if info["diverged"]:
             return self._observation, 0.0, False, True, info
         self._observation = self._observe()
-        return self._observation, float(np.mean(outcome.reward[0])), bool(outcome.terminated[0]), bool(outcome.truncated[0]), info
+        return (
+            self._observation,
+            float(np.mean(outcome.reward[0])),
+            bool(outcome.terminated[0]),
+            bool(outcome.truncated[0]),
+            info,
+        )
 
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]) -> Any:
+    def compute_reward(
+        self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]
+    ) -> Any:
         """The reward had these been the palms and the goals, a float or (n,).
 
         Args:
@@ -146,12 +176,19 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         """
         return self._judge(achieved_goal, desired_goal, info)[0]
 
-    def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]) -> Any:
+    def compute_terminated(
+        self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]
+    ) -> Any:
         """Whether the task had ended there, a bool or (n,); arguments as `compute_reward`."""
         return self._judge(achieved_goal, desired_goal, info)[1]
 
-    def compute_truncated(self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]) -> Any:
-        """Whether the episode had been cut off there, a bool or (n,); arguments as `compute_reward`."""
+    def compute_truncated(
+        self, achieved_goal: Array, desired_goal: Array, info: Info | Sequence[Info]
+    ) -> Any:
+        """Whether the episode had been cut off there, a bool or (n,).
+
+        Arguments as `compute_reward`.
+        """
         return self._judge(achieved_goal, desired_goal, info)[2]
 
     def render(self) -> Array | None:
@@ -164,8 +201,12 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             return None
         physics, (width, height) = self._env.physics, IMAGE
         if self._painter is None:
-            self._painter = Painter(physics.model, view=view_of(self._env.scene.robot), width=width, height=height)
-        return self._painter.paint(physics.qpos[0], physics.mocap_pos[0], sizes=physics.model_of(0).geom_size)
+            self._painter = Painter(
+                physics.model, view=view_of(self._env.scene.robot), width=width, height=height
+            )
+        return self._painter.paint(
+            physics.qpos[0], physics.mocap_pos[0], sizes=physics.model_of(0).geom_size
+        )
 
     def close(self) -> None:
         """Let go of the graphics context, if there is one."""
@@ -194,7 +235,9 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             "diverged": bool(outcome.diverged[0]),
         }
 
-    def _judge(self, achieved: Array, desired: Array, info: Info | Sequence[Info]) -> tuple[Any, Any, Any]:
+    def _judge(
+        self, achieved: Array, desired: Array, info: Info | Sequence[Info]
+    ) -> tuple[Any, Any, Any]:
         """Reward, terminated and truncated, (n,) each, or scalars for one."""
         achieved, desired = np.asarray(achieved), np.asarray(desired)
         infos = [info] if isinstance(info, dict) else list(info)
@@ -206,13 +249,18 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         points = (*achieved.shape[:-1], -1, 3)
         distance = rules.distances(achieved.reshape(points), desired.reshape(points))
         collision, instability, step = (
-            np.array([item[name] for item in infos]).reshape(achieved.shape[:-1]) for name in ("collision", "instability", "step")
+            np.array([item[name] for item in infos]).reshape(achieved.shape[:-1])
+            for name in ("collision", "instability", "step")
         )
         config = self._env.task.config
         flags = rules.Flags(*rules.proximity(distance, config), collision, instability)
         terminated = rules.terminations(flags)
         truncated = ~terminated & (step >= config.max_steps)
-        return rules.rewards(distance, flags, self._env.task.reward).mean(axis=-1)[()], terminated[()], truncated[()]
+        return (
+            rules.rewards(distance, flags, self._env.task.reward).mean(axis=-1)[()],
+            terminated[()],
+            truncated[()],
+        )
 
 
 def _known_split(split: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from coordlog.sim.scene import SCENES
+from coordlog.tasks.scene import SCENES
 
 
 def gym_id(scene: str) -> str:
@@ -16,4 +16,6 @@ def register() -> None:
     """Make `gymnasium.make("coordlog/table-v0")` work; calling twice is harmless."""
     for scene in SCENES:
         if gym_id(scene) not in gymnasium.registry:
-            gymnasium.register(gym_id(scene), entry_point="coordlog.sim.gym:GymEnv", kwargs={"scene": scene})
+            gymnasium.register(
+                gym_id(scene), entry_point="coordlog.sim.gym:GymEnv", kwargs={"scene": scene}
+            )

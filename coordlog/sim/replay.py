@@ -1,7 +1,9 @@
-"""A log simulated again, from nothing but what it carries: its model, its first state and its actions.
+"""A log simulated again, from nothing but what it carries: its model, its first state and its
+actions.
 
-On the MuJoCo version and architecture that recorded it every number must come back bit for bit; elsewhere only nearly
-(`exact_here` says which). Logs are replayed many at a time, each simulation on its own log's model.
+On the MuJoCo version and architecture that recorded it every number must come back bit for bit;
+elsewhere only nearly (`exact_here` says which). Logs are replayed many at a time, each simulation
+on its own log's model.
 """
 
 from __future__ import annotations
@@ -16,15 +18,24 @@ import numpy as np
 
 from coordlog.episode import CONTACT, Array, Header
 from coordlog.errors import FormatError
-from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
+from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.robot import Robot
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import FINAL, STEP
+from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = ("reward", "distance", "boundary", "goal", "collision", "instability", "terminated", "truncated")
+LED_TO = (
+    "reward",
+    "distance",
+    "boundary",
+    "goal",
+    "collision",
+    "instability",
+    "terminated",
+    "truncated",
+)
 
 
 class Log(NamedTuple):
@@ -49,28 +60,40 @@ def exact_here(header: Header) -> str:
     """Why this machine can only come near the log; empty if it must reproduce it bit for bit."""
     wanted = (header.env["mujoco_version"], header.env["architecture"])
     here = (mujoco.__version__, platform.machine())
-    return "" if wanted == here else f"recorded with MuJoCo {wanted[0]} on {wanted[1]}, replayed with MuJoCo {here[0]} on {here[1]}"
+    return (
+        ""
+        if wanted == here
+        else f"recorded with MuJoCo {wanted[0]} on {wanted[1]}, replayed with MuJoCo {here[0]} on {here[1]}"
+    )
 
 
 def replay(logs: Sequence[Log], *, threads: int = 1) -> list[Trace]:
     """Simulate logs again; the order of the result is that of the logs.
 
     Raises:
-        FormatError: if a log's first state does not fit its model, or its model lacks what its header names.
+        FormatError: if a log's first state does not fit its model, or its model lacks what its
+            header names.
     """
     groups: dict[str, list[int]] = {}
     for i, log in enumerate(logs):
-        groups.setdefault(json.dumps(log.header.env, sort_keys=True) + str(log.model.nbuffer), []).append(i)
+        groups.setdefault(
+            json.dumps(log.header.env, sort_keys=True) + str(log.model.nbuffer), []
+        ).append(i)
     traces: dict[int, Trace] = {}
     for members in groups.values():
-        traces.update(zip(members, _replay_alike([logs[i] for i in members], threads=threads), strict=True))
+        traces.update(
+            zip(members, _replay_alike([logs[i] for i in members], threads=threads), strict=True)
+        )
     return [traces[i] for i in range(len(logs))]
 
 
 def task_of(log: Log) -> Task:
     """The task a log was recorded in, rebuilt from its header and model."""
     env = log.header.env
-    config, reward = from_mapping(EnvConfig, env["config"]), from_mapping(RewardConfig, env["reward"])
+    config, reward = (
+        from_mapping(EnvConfig, env["config"]),
+        from_mapping(RewardConfig, env["reward"]),
+    )
     return Task(Robot.from_json(env["robot"]), log.model, config, reward)
 
 
@@ -82,7 +105,9 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     size = mujoco.mj_stateSize(logs[0].model, STATE)
     for i, log in enumerate(logs):
         if log.start.shape != (size,):
-            raise FormatError(f"initial state: expected {size} numbers for this model, got {log.start.size}")
+            raise FormatError(
+                f"initial state: expected {size} numbers for this model, got {log.start.size}"
+            )
         physics.rows[i] = log.start
     radii = np.array([log.model.geom_size[task.sphere_geoms, 0] for log in logs])
     simulation.begin(np.arange(n), radii)
@@ -93,27 +118,45 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
         _observe(columns, simulation, np.flatnonzero(lengths >= step), step)
         running = np.flatnonzero(lengths > step)
         if len(running):
-            outcome = simulation.step(np.stack([logs[int(i)].action[step] for i in running]), running)
+            outcome = simulation.step(
+                np.stack([logs[int(i)].action[step] for i in running]), running
+            )
             _store(columns, contacts, outcome, running, step)
-    return [Trace(columns[i], np.concatenate(rows) if rows else np.zeros(0, dtype=CONTACT)) for i, rows in enumerate(contacts)]
+    return [
+        Trace(columns[i], np.concatenate(rows) if rows else np.zeros(0, dtype=CONTACT))
+        for i, rows in enumerate(contacts)
+    ]
 
 
 def _empty(logs: Sequence[Log], lengths: Array) -> list[dict[str, Array]]:
     fields = [item for item in STEP.fields[1:] if item.name != "action"]
     return [
-        {item.name: np.zeros(log.header.layout.shape(item, int(length) + (item.name in BEFORE)), dtype=item.type) for item in fields}
+        {
+            item.name: np.zeros(
+                log.header.layout.shape(item, int(length) + (item.name in BEFORE)), dtype=item.type
+            )
+            for item in fields
+        }
         for log, length in zip(logs, lengths, strict=True)
     ]
 
 
-def _observe(columns: list[dict[str, Array]], simulation: Simulation, ids: Array, step: int) -> None:
+def _observe(
+    columns: list[dict[str, Array]], simulation: Simulation, ids: Array, step: int
+) -> None:
     for name in BEFORE:
         values = getattr(simulation, name)
         for i in ids:
             columns[i][name][step] = values[i]
 
 
-def _store(columns: list[dict[str, Array]], contacts: list[list[Array]], outcome: Outcome, ids: Array, step: int) -> None:
+def _store(
+    columns: list[dict[str, Array]],
+    contacts: list[list[Array]],
+    outcome: Outcome,
+    ids: Array,
+    step: int,
+) -> None:
     for name in LED_TO:
         for i, value in zip(ids, getattr(outcome, name), strict=True):
             columns[i][name][step] = value

@@ -1,6 +1,7 @@
 """Physics and task together: N simulations that take actions and return flags and rewards.
 
-Live environments and replays of logs both run on this one class, so what is checked is what was recorded.
+Live environments and replays of logs both run on this one class, so what is checked is what was
+recorded.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim import reward
 from coordlog.sim.physics import Physics
 from coordlog.sim.task import Task
+from coordlog.tasks.reach import reward
 
 
 class Outcome(NamedTuple):
@@ -55,11 +56,16 @@ class Simulation:
 
     @property
     def time(self) -> Array:
-        """Present time since the start of each episode, (N,) [s]: steps times the control period."""
+        """Present time since the start of each episode, (N,) [s]: steps times the control
+        period.
+        """
         return self.steps * self.task.config.control_period
 
     def begin(self, ids: Array, radii: Array) -> None:
-        """Start episodes from the states that stand in `physics.rows[ids]`; `radii` are their spheres', (len(ids), n_spheres) [m]."""
+        """Start episodes from the states that stand in `physics.rows[ids]`.
+
+        `radii` are their spheres', (len(ids), n_spheres) [m].
+        """
         self.physics.refresh(ids)
         self.steps[ids] = 0
         self.radii[ids] = radii
@@ -72,14 +78,17 @@ class Simulation:
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance some simulations by one control period.
 
-        The command is filtered, integrated to servo targets and moved to linearly over the substeps, v ← c v + (1 - c) a.
+        The command is filtered, integrated to servo targets and moved to linearly over the
+        substeps, v ← c v + (1 - c) a.
 
         Args:
             action: Actions to execute, shape (len(ids), n_u), float32 in [-1, 1].
             ids: Which simulations.
         """
         task, config = self.task, self.task.config
-        velocity = config.smoothing * self._velocity[ids] + (1.0 - config.smoothing) * action.astype(np.float64)
+        velocity = config.smoothing * self._velocity[ids] + (
+            1.0 - config.smoothing
+        ) * action.astype(np.float64)
         before = self._target[ids]
         after = task.target(before, velocity)
         self._velocity[ids], self._target[ids] = velocity, after
@@ -89,7 +98,9 @@ class Simulation:
         self._observe(ids, sensors)
         return self._outcome(ids, sensors, collision, contacts)
 
-    def _outcome(self, ids: Array, sensors: Array, collision: Array, contacts: list[Array]) -> Outcome:
+    def _outcome(
+        self, ids: Array, sensors: Array, collision: Array, contacts: list[Array]
+    ) -> Outcome:
         task = self.task
         com_velocity = task.com_velocity(sensors)
         acceleration = (com_velocity - self._com_velocity[ids]) / task.config.control_period
@@ -100,9 +111,13 @@ class Simulation:
         terminated = reward.terminations(flags)
         truncated = ~terminated & (self.steps[ids] >= task.config.max_steps)
         earned = reward.rewards(distance, flags, task.reward)
-        return Outcome(earned, distance, *flags, terminated, truncated, self.physics.diverged(ids), contacts)
+        return Outcome(
+            earned, distance, *flags, terminated, truncated, self.physics.diverged(ids), contacts
+        )
 
     def _observe(self, ids: Array, sensors: Array) -> None:
         physics = self.physics
         told = self.radii[ids] - self.task.config.inflate
-        self.state[ids] = self.task.state(physics.qpos[ids], physics.qvel[ids], sensors, physics.mocap_pos[ids], told)
+        self.state[ids] = self.task.state(
+            physics.qpos[ids], physics.qvel[ids], sensors, physics.mocap_pos[ids], told
+        )

@@ -6,14 +6,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from coordlog.smooth.feasibility import Checker, DistanceChecker, MovingChecker, Unobstructed, Verdict
+    from coordlog.smooth.feasibility import (
+        Checker,
+        DistanceChecker,
+        MovingChecker,
+        Unobstructed,
+        Verdict,
+    )
     from coordlog.smooth.limits import Limits
     from coordlog.smooth.result import Result, Violation
     from coordlog.smooth.smoother import smooth
     from coordlog.smooth.spline import Spline, fit
 
-_HOME = {"fit": "spline", "smooth": "smoother", "Limits": "limits", "Result": "result", "Spline": "spline", "Violation": "result"}
-_HOME |= dict.fromkeys(("Checker", "DistanceChecker", "MovingChecker", "Unobstructed", "Verdict"), "feasibility")
+_HOME = {
+    "fit": "spline",
+    "smooth": "smoother",
+    "Limits": "limits",
+    "Result": "result",
+    "Spline": "spline",
+    "Violation": "result",
+}
+_HOME |= dict.fromkeys(
+    ("Checker", "DistanceChecker", "MovingChecker", "Unobstructed", "Verdict"), "feasibility"
+)
 
 __all__ = [
     "Checker",

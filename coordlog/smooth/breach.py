@@ -41,7 +41,12 @@ class Breaches:
 
     def __add__(self, other: Breaches) -> Breaches:
         """Both."""
-        return Breaches(*(np.concatenate([getattr(self, field.name), getattr(other, field.name)]) for field in fields(self)))
+        return Breaches(
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)
+            )
+        )
 
 
 def breaches(kind: Kind, time: Floats, depth: Floats, what: Ints) -> Breaches:

@@ -16,24 +16,33 @@ class Config:
     """Options of `coordlog.smooth.smooth`."""
 
     method: str = "local"
-    """local: one cut-off for all joints, the path drawn towards the samples where a rule fails. shared: the lowest single
-    cut-off that is proven. paper: base to tip, one p for each joint by bisection, the knots alone deciding."""
+    """local: one cut-off for all joints, the path drawn towards the samples where a rule fails.
+    shared: the lowest single cut-off that is proven. paper: base to tip, one p for each joint by
+    bisection, the knots alone deciding."""
     cutoff: str | float = "max"
-    """Lowest cut-off [Hz] to smooth to; "max": half a period in the whole path, below which little is left to gain."""
+    """Lowest cut-off [Hz] to smooth to.
+
+    "max": half a period in the whole path, below which little is left to gain.
+    """
     max_deviation: float | None = None
     """Largest distance of the path from any sample [rad]; None: as the rules allow."""
     clearance: float = 0.0
     """Distance that bodies must keep [m]."""
     ends: str = "auto"
-    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), keep (the given end velocities), natural (free,
-    without bending). auto: natural for the paper's method, rest for the others. The end points themselves are always exact."""
+    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), keep (the given end
+    velocities), natural (free, without bending). auto: natural for the paper's method, rest for the
+    others. The end points themselves are always exact."""
     dense: int | None = None
-    """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all there is, 2 beside a
-    certificate, which sees everything between them and only shares no code with them in the checker."""
+    """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all
+    there is, 2 beside a certificate, which sees everything between them and only shares no code
+    with them in the checker."""
     certify: bool = True
     """Prove the stretches between samples as well; needs a checker that knows distances."""
     budget: int | None = None
-    """Configurations the search may ask the checker about; None: no limit. What is proven by then stands."""
+    """Configurations the search may ask the checker about; None: no limit.
+
+    What is proven by then stands.
+    """
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -46,13 +55,21 @@ class Config:
         if self.ends not in ENDS:
             raise unknown("ends", self.ends, ENDS)
         if self.cutoff != "max" and (isinstance(self.cutoff, str) or not self.cutoff > 0.0):
-            raise ConfigError(f"cutoff: expected 'max' or a frequency above 0 Hz, got {self.cutoff!r}")
+            raise ConfigError(
+                f"cutoff: expected 'max' or a frequency above 0 Hz, got {self.cutoff!r}"
+            )
         if self.max_deviation is not None and not self.max_deviation > 0.0:
-            raise ConfigError(f"max_deviation: expected an angle above 0 rad, got {self.max_deviation!r}")
+            raise ConfigError(
+                f"max_deviation: expected an angle above 0 rad, got {self.max_deviation!r}"
+            )
         if not 0.0 <= self.clearance < float("inf"):
-            raise ConfigError(f"clearance: expected a distance of at least 0 m, got {self.clearance!r}")
+            raise ConfigError(
+                f"clearance: expected a distance of at least 0 m, got {self.clearance!r}"
+            )
         if any(number is not None and number < 1 for number in (self.dense, self.budget)):
-            raise ConfigError(f"dense, budget: expected at least 1, got {self.dense!r}, {self.budget!r}")
+            raise ConfigError(
+                f"dense, budget: expected at least 1, got {self.dense!r}, {self.budget!r}"
+            )
 
     @classmethod
     def of(cls, **options: Any) -> Config:
@@ -75,4 +92,6 @@ class Config:
     @property
     def clamped(self) -> bool:
         """Whether the slopes at the ends are fixed."""
-        return self.ends in ("rest", "soft", "keep") or (self.ends == "auto" and self.method != "paper")
+        return self.ends in ("rest", "soft", "keep") or (
+            self.ends == "auto" and self.method != "paper"
+        )

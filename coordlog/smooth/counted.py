@@ -57,7 +57,8 @@ class Counted:
         return self._distances.drift(start, stop)
 
     def moving(self, path: Spline) -> Breaches:
-        """Ask `MovingChecker.moving` at the knots of a path; nothing where the checker has no such rule.
+        """Ask `MovingChecker.moving` at the knots of a path; nothing where the checker has no such
+        rule.
 
         Raises:
             SpecError: if the answer has a wrong shape.
@@ -76,8 +77,15 @@ class Counted:
         return _refused(time, self.check(time, q, clearance))
 
     def every(self, time: Floats, q: Floats, clearance: float) -> Breaches:
-        """Every pair that falls short, if the checker can tell; otherwise the worst of each configuration."""
-        return _short(time, self.slack(time, q, clearance)) if self.measures else self.worst(time, q, clearance)
+        """Every pair that falls short, if the checker can tell.
+
+        Otherwise the worst of each configuration.
+        """
+        return (
+            _short(time, self.slack(time, q, clearance))
+            if self.measures
+            else self.worst(time, q, clearance)
+        )
 
     def try_on(self, time: Floats, q: Floats, clearance: float) -> Breaches:
         """Ask as `every`, and look at the shapes of all answers before they are relied on.
@@ -93,7 +101,9 @@ class Counted:
         slack = self.slack(time, q, clearance)
         got, reach = np.shape(slack), np.shape(self.reach)
         if len(reach) != 2 or reach[1] != n_j or got != (n, reach[0]):
-            raise SpecError(f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {got} and {reach}")
+            raise SpecError(
+                f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {got} and {reach}"
+            )
         return _short(time, slack)
 
     def _stop(self) -> None:
@@ -103,7 +113,9 @@ class Counted:
 
 def _expect(verdict: Verdict, n: int, name: str) -> None:
     if any(np.shape(part) != (n,) for part in verdict):
-        raise SpecError(f"checker.{name}: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}")
+        raise SpecError(
+            f"checker.{name}: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}"
+        )
 
 
 def _refused(time: Floats, verdict: Verdict) -> Breaches:

@@ -1,12 +1,16 @@
-"""Three names of one smoothing parameter: the paper's p, the penalty λ, and the cut-off frequency in Hz.
+"""Three names of one smoothing parameter: the paper's p, the penalty λ, and the cut-off frequency
+in Hz.
 
-p weighs fidelity against roughness over the *step index* (one knot is one unit of time), λ [s³] weighs roughness over
-*seconds* (scipy's `lam`), and the cut-off [Hz] is where uniform samples of period dt are passed at half amplitude:
+p weighs fidelity against roughness over the *step index* (one knot is one unit of time), λ [s³]
+weighs roughness over *seconds* (scipy's `lam`), and the cut-off [Hz] is where uniform samples of
+period dt are passed at half amplitude:
 
-    p = 1 / (1 + λ / dt³)        cut-off = (λ dt)^(-1/4) / 2π        p = 1 ↔ λ = 0 ↔ ∞ Hz        p = 0 ↔ λ = ∞ ↔ 0 Hz
+    p = 1 / (1 + λ / dt³)        cut-off = (λ dt)^(-1/4) / 2π        p = 1 ↔ λ = 0 ↔ ∞ Hz        p =
+    0 ↔ λ = ∞ ↔ 0 Hz
 
-With dt = 1 the first line is the p of csaps and MATLAB for an abscissa in seconds. λ is what the fit computes with:
-near p = 1 a float cannot tell one p from the next, and in Hz equal steps are equally audible everywhere.
+With dt = 1 the first line is the p of csaps and MATLAB for an abscissa in seconds. λ is what the
+fit computes with: near p = 1 a float cannot tell one p from the next, and in Hz equal steps are
+equally audible everywhere.
 """
 
 from __future__ import annotations
@@ -36,7 +40,9 @@ def cutoff_from_lam(lam: ArrayLike, dt: float) -> Floats:
 
 
 def lam_from_cutoff(cutoff: ArrayLike, dt: float) -> Floats:
-    """λ [s³] that passes `cutoff` [Hz] at half amplitude, for unit weights at a knot spacing dt [s]."""
+    """λ [s³] that passes `cutoff` [Hz] at half amplitude, for unit weights at a knot spacing dt
+    [s].
+    """
     with np.errstate(divide="ignore"):
         return np.asarray((2.0 * np.pi * np.asarray(cutoff, dtype=float)) ** -4.0 / dt)
 
@@ -62,4 +68,7 @@ def gain(frequency: ArrayLike, lam: ArrayLike, dt: float) -> Floats:
         dt: Sample period [s].
     """
     cos = np.cos(2.0 * np.pi * np.asarray(frequency, dtype=float) * dt)
-    return np.asarray(1.0 / (1.0 + np.asarray(lam, dtype=float) / dt**3 * 3.0 * (2.0 - 2.0 * cos) ** 2 / (2.0 + cos)))
+    return np.asarray(
+        1.0
+        / (1.0 + np.asarray(lam, dtype=float) / dt**3 * 3.0 * (2.0 - 2.0 * cos) ** 2 / (2.0 + cos))
+    )

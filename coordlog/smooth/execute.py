@@ -1,8 +1,10 @@
-"""A smoothed path executed: driven through the simulation from the episode's own first state, and judged by what happened there.
+"""A smoothed path executed: driven through the simulation from the episode's own first state, and
+judged by what happened there.
 
-What the servos follow is the path plus the smoothed difference between the servo targets of the raw run and the angles it reached. The
-smoother is linear: the same operator on the difference keeps the sag under gravity compensated as it was. Targets become actions by
-inverting the command filter; what an action in [-1, 1] cannot do is caught up with at the next one.
+What the servos follow is the path plus the smoothed difference between the servo targets of the raw
+run and the angles it reached. The smoother is linear: the same operator on the difference keeps the
+sag under gravity compensated as it was. Targets become actions by inverting the command filter;
+what an action in [-1, 1] cannot do is caught up with at the next one.
 """
 
 from __future__ import annotations
@@ -12,20 +14,23 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array, Episode
-from coordlog.sim.drive import Drive, Run, run, targets
 from coordlog.sim.replay import Log, task_of
+from coordlog.sim.tracking import Drive, Run, run, targets
 from coordlog.smooth.ease import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
 from coordlog.smooth.result import KEPT_RAW, RAW_INFEASIBLE, Result
 from coordlog.smooth.spline import Spline
 
 DEEPER = 1e-4
-"""Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the same."""
+"""Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the
+same."""
 TRIM = 0.3
-"""Share of the remaining error by which the servo targets are moved at each step, once the path has come to its end."""
+"""Share of the remaining error by which the servo targets are moved at each step, once the path has
+come to its end."""
 COAST = 10
-"""Steps over which the log's last motion is then added, if it ended at its goal and this run has not: the log arrived moving, and with a
-base that swayed as its own did, so the same angles at rest can be a fraction of a millimetre short."""
+"""Steps over which the log's last motion is then added, if it ended at its goal and this run has
+not: the log arrived moving, and with a base that swayed as its own did, so the same angles at rest
+can be a fraction of a millimetre short."""
 
 
 class Torques(NamedTuple):
@@ -39,7 +44,9 @@ class Torques(NamedTuple):
     @classmethod
     def of(cls, ran: Run, period: float) -> Torques:
         """Of a run with this control period [s]; a single step has no rate."""
-        return cls(torque_rate(ran.torque, period) if len(ran.torque) > 1 else 0.0, torque_peak(ran.torque))
+        return cls(
+            torque_rate(ran.torque, period) if len(ran.torque) > 1 else 0.0, torque_peak(ran.torque)
+        )
 
 
 class Execution(NamedTuple):
@@ -54,7 +61,10 @@ class Execution(NamedTuple):
     smoothed: Torques | None
     """None where nothing was executed."""
     away: float
-    """Largest distance of an executed angle from the path at the same time [rad]; 0 where nothing was executed."""
+    """Largest distance of an executed angle from the path at the same time [rad].
+
+    0 where nothing was executed.
+    """
 
 
 def execute(log: Log, result: Result, episode: Episode) -> Execution:
@@ -104,7 +114,9 @@ def follow(log: Log, result: Result, angles: Array, *, arrives: bool) -> Run:
     def act(step: int, drive: Drive) -> Array:
         nonlocal trim
         at = min((step + 1) * period, last)
-        if step * period >= last:  # friction, and what the raw run's motion added to its lead, would stay as an error
+        if (
+            step * period >= last
+        ):  # friction, and what the raw run's motion added to its lead, would stay as an error
             share = min((step - len(angles) + 2) / COAST, 1.0)
             trim = trim + TRIM * (result.spline(last) + share * coast - drive.angles)
         return drive.action_to(np.clip(result.spline(at) + lead(at) + trim, low, high))
@@ -113,7 +125,10 @@ def follow(log: Log, result: Result, angles: Array, *, arrives: bool) -> Run:
 
 
 def worse(ran: Run, episode: Episode) -> str:
-    """In which way an execution is worse than the raw run, as the rest of a sentence; "" if in none."""
+    """In which way an execution is worse than the raw run, as the rest of a sentence.
+
+    "" if in none.
+    """
     columns = ran.columns
     if ran.diverged:
         return "makes the physics diverge"
@@ -125,7 +140,10 @@ def worse(ran: Run, episode: Episode) -> str:
         pair = f"{names[deepest['geom1']]} and {names[deepest['geom2']]}"
         if not episode.collision.any():
             return f"collides at {columns['time'][step]:.2f} s ({pair}, {deepest['depth'] * 1e3:.1f} mm deep), which the log does not"
-        if deepest["depth"] > episode.contacts["depth"].max() + DEEPER or columns["collision"].sum() > episode.collision.sum():
+        if (
+            deepest["depth"] > episode.contacts["depth"].max() + DEEPER
+            or columns["collision"].sum() > episode.collision.sum()
+        ):
             return f"collides more than the log does ({pair}, {deepest['depth'] * 1e3:.1f} mm deep)"
     if episode.result.success and not columns["goal"][-1].all():
         nearest = columns["distance"][-1].max()
@@ -134,13 +152,21 @@ def worse(ran: Run, episode: Episode) -> str:
 
 
 def _lead(result: Result, time: Array, ahead: Array) -> Spline:
-    """How far the targets are ahead of the angles, (T + 1, n_u) at `time`, smoothed as the path was."""
+    """How far the targets are ahead of the angles, (T + 1, n_u) at `time`, smoothed as the path
+    was.
+    """
     knots = result.knots
     at_knots = np.stack([np.interp(knots.time, time, column) for column in ahead.T], axis=1)
     ends = np.zeros((2, ahead.shape[1])) if result.config.clamped else None
-    return grid_for(knots.time, result.config, ease=result.ease).fit_each(at_knots, lam=result.lam, weight=result.weight, velocity=ends)
+    return grid_for(knots.time, result.config, ease=result.ease).fit_each(
+        at_knots, lam=result.lam, weight=result.weight, velocity=ends
+    )
 
 
 def _away(ran: Run, path: Spline, places: Array) -> float:
     time = ran.columns["time"]
-    return float(np.abs(ran.columns["qpos"][:, places] - path(np.clip(time, path.time[0], path.time[-1]))).max())
+    return float(
+        np.abs(
+            ran.columns["qpos"][:, places] - path(np.clip(time, path.time[0], path.time[-1]))
+        ).max()
+    )

@@ -1,8 +1,9 @@
 """What a path must keep to: the contract of a checker, and what it says.
 
-A checker knows one scene and one robot. `check` is asked about thousands of configurations per path and decides what is
-allowed; `slack`, `reach` and `drift` let the certificate prove the stretches between samples. Nothing here knows physics:
-MuJoCo, another engine or ten lines of NumPy serve alike.
+A checker knows one scene and one robot. `check` is asked about thousands of configurations per path
+and decides what is allowed; `slack`, `reach` and `drift` let the certificate prove the stretches
+between samples. Nothing here knows physics: MuJoCo, another engine or ten lines of NumPy serve
+alike.
 
     class Corridor:                                   # two joints, kept within 1 rad of zero, both together within 1.5
         reach = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -56,11 +57,11 @@ class Checker(Protocol):
         """Judge a block of configurations, in any order, independently of one another.
 
         Args:
-            time: Time of each configuration within the path [s], shape (n,); for whatever else moves with it, such as
-                the base the log recorded.
+            time: Time of each configuration within the path [s], shape (n,); for whatever else
+                moves with it, such as the base the log recorded.
             q: Joint angles [rad], shape (n, n_j).
-            clearance: Distance [m] that pairs of bodies must keep; a pair closer than this is not free. Balance has its
-                own margin.
+            clearance: Distance [m] that pairs of bodies must keep; a pair closer than this is not
+                free. Balance has its own margin.
         """
         ...
 
@@ -73,41 +74,52 @@ class Checker(Protocol):
 class DistanceChecker(Checker, Protocol):
     """A checker that also knows how far each of P pairs is from trouble; the certificate needs it.
 
-    A pair is anything with a distance to lose: two bodies, or the centre of mass and the edge of its support polygon.
-    For any two configurations at one time, the slack of pair i may differ by at most Σ_j reach[i, j] |Δq_j|.
+    A pair is anything with a distance to lose: two bodies, or the centre of mass and the edge of
+    its support polygon. For any two configurations at one time, the slack of pair i may differ by
+    at most Σ_j reach[i, j] |Δq_j|.
     """
 
     @property
     def reach(self) -> Floats:
-        """Metres by which a radian of joint j can change the distance of pair i, at most, in any posture; shape (P, n_j)."""
+        """Metres by which a radian of joint j can change the distance of pair i, at most, in any
+        posture; shape (P, n_j).
+        """
         ...
 
     def slack(self, time: Floats, q: Floats, clearance: float) -> Floats:
-        """Distance left to each pair [m], shape (n, P): distance less clearance, or margin of balance.
+        """Distance left to each pair [m], shape (n, P): distance less clearance, or margin of
+        balance.
 
-        `check` calls a configuration free exactly where no slack is negative. A lower bound will do for pairs that are
-        far apart, so an engine may cap what it measures.
+        `check` calls a configuration free exactly where no slack is negative. A lower bound will do
+        for pairs that are far apart, so an engine may cap what it measures.
         """
         ...
 
     def drift(self, start: Floats, stop: Floats) -> Floats:
-        """Speed [m/s] at which any slack may change within [start, stop] while no joint moves, at most.
+        """Speed [m/s] at which any slack may change within [start, stop] while no joint moves, at
+        most.
 
-        It covers what depends on time alone: the base the log recorded, obstacles that move. Times [s] have shape (m,),
-        the bound (m, P) or (m, 1). A speed and not a distance: within any part of the stretch it must hold too.
+        It covers what depends on time alone: the base the log recorded, obstacles that move. Times
+        [s] have shape (m,), the bound (m, P) or (m, 1). A speed and not a distance: within any part
+        of the stretch it must hold too.
         """
         ...
 
 
 @runtime_checkable
 class MovingChecker(Checker, Protocol):
-    """A checker that also has a rule about motion, such as the zero-moment point staying over the feet.
+    """A checker that also has a rule about motion, such as the zero-moment point staying over the
+    feet.
 
-    It is asked once about each path that everything else lets pass, at the knots: a cubic spline accelerates most at one of them.
+    It is asked once about each path that everything else lets pass, at the knots: a cubic spline
+    accelerates most at one of them.
     """
 
     def moving(self, time: Floats, q: Floats, velocity: Floats, acceleration: Floats) -> Verdict:
-        """Judge a block of states, (n, n_j) each in rad, rad/s and rad/s²; depths [m] are comparable among themselves."""
+        """Judge a block of states, (n, n_j) each in rad, rad/s and rad/s².
+
+        Depths [m] are comparable among themselves.
+        """
         ...
 
 

@@ -1,7 +1,7 @@
 """The rules of one path problem, asked in the order that costs least.
 
-Limits and deviation come first, being free; then the samples that failed last, the knots from coarse to fine, the samples
-between them, and the certificate.
+Limits and deviation come first, being free; then the samples that failed last, the knots from
+coarse to fine, the samples between them, and the certificate.
 """
 
 from __future__ import annotations
@@ -35,13 +35,16 @@ class Proof(NamedTuple):
     excused: Breaches
     """Breaches of the raw path that the candidate does not make worse."""
     certified: bool
-    """Free between the samples too: at the clearance asked, or without touching for pairs excused from it."""
+    """Free between the samples too: at the clearance asked, or without touching for pairs excused
+    from it."""
 
 
 class Judge:
     """All rules of one problem."""
 
-    def __init__(self, checker: Checker, knots: Knots, raw: Spline, *, limits: Limits, config: Config) -> None:
+    def __init__(
+        self, checker: Checker, knots: Knots, raw: Spline, *, limits: Limits, config: Config
+    ) -> None:
         """Prepare to judge candidates over the same knots as the raw path.
 
         Raises:
@@ -50,13 +53,17 @@ class Judge:
         """
         self.asked = Counted(checker)
         if config.certify and not self.asked.measures:
-            raise ConfigError("certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples")
+            raise ConfigError(
+                "certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples"
+            )
         self.widths = limits.widths(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
         self._pace = limits.paces(knots.position.shape[1])
         self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._config = knots, config
-        self.raw = Raw(raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths)
+        self.raw = Raw(
+            raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths
+        )
         self.failed = NONE
         """Why the last candidate that was ruled out was ruled out."""
 
@@ -72,10 +79,12 @@ class Judge:
         return proof if len(proof.found) else self.between(spline, proof, lenient=lenient)
 
     def early(self, spline: Spline, *, hot: Ints | None = None, lenient: bool = False) -> Proof:
-        """As `prove`, but the certificate is asked as soon as the hot samples and the coarse ones find nothing.
+        """As `prove`, but the certificate is asked as soon as the hot samples and the coarse ones
+        find nothing.
 
-        It needs fewer answers than there are samples, and what it proves needs no further look. Where it fails the samples are asked
-        after all, to name all that is wrong and not the first of it.
+        It needs fewer answers than there are samples, and what it proves needs no further look.
+        Where it fails the samples are asked after all, to name all that is wrong and not the first
+        of it.
         """
         if not self._config.certify:
             return self.prove(spline, hot=hot, lenient=lenient)
@@ -89,7 +98,11 @@ class Judge:
 
     def between(self, spline: Spline, proof: Proof, *, lenient: bool) -> Proof:
         """Finish what `sampled` began: the certificate, and rules about motion."""
-        proof = self._noted(self._between(spline, proof.excused, lambda found: self.raw.excuses(found, lenient=lenient)))
+        proof = self._noted(
+            self._between(
+                spline, proof.excused, lambda found: self.raw.excuses(found, lenient=lenient)
+            )
+        )
         if len(proof.found):
             return proof
         look = self.asked.moving(spline)
@@ -107,12 +120,18 @@ class Judge:
             self.failed = proof.found
         return proof
 
-    def _sampled(self, spline: Spline, hot: Ints | None, lenient: bool, levels: list[Ints]) -> Proof:
+    def _sampled(
+        self, spline: Spline, hot: Ints | None, lenient: bool, levels: list[Ints]
+    ) -> Proof:
         excused = self.raw.ends
         for look in self._looks(spline, [*([] if hot is None else [hot]), *levels]):
             excuse = self.raw.excuses(look, lenient=lenient)
-            if (excuse & (look.kind == Kind.CONTACT)).any():  # a pair that is excused may hide one that is not
-                look = look[look.kind != Kind.CONTACT] + self._every(spline, look.time[look.kind == Kind.CONTACT])
+            if (
+                excuse & (look.kind == Kind.CONTACT)
+            ).any():  # a pair that is excused may hide one that is not
+                look = look[look.kind != Kind.CONTACT] + self._every(
+                    spline, look.time[look.kind == Kind.CONTACT]
+                )
                 excuse = self.raw.excuses(look, lenient=lenient)
             if not excuse.all():
                 return Proof(look[~excuse], excused, certified=False)
@@ -142,8 +161,13 @@ class Judge:
         proof = self._between(spline, found, lambda found: found.kind == Kind.CONTACT)
         return Proof(proof.excused + proof.found, NONE, proof.certified)
 
-    def _between(self, spline: Spline, known: Breaches, excuses: Callable[[Breaches], Bools]) -> Proof:
-        """Certify a path of which these breaches are known; pairs known to be too close need only not touch."""
+    def _between(
+        self, spline: Spline, known: Breaches, excuses: Callable[[Breaches], Bools]
+    ) -> Proof:
+        """Certify a path of which these breaches are known.
+
+        Pairs known to be too close need only not touch.
+        """
         while self._config.certify:
             close = np.unique(known.what[known.kind == Kind.CONTACT])
             if len(close) and self.collides(spline, known):

@@ -1,4 +1,6 @@
-"""Range, speed and acceleration of each joint, held against a spline exactly: extrema of its cubics, not samples."""
+"""Range, speed and acceleration of each joint, held against a spline exactly: extrema of its
+cubics, not samples.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ from coordlog.smooth.spline import Spline
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What each joint may do; None is no limit. Arrays of shape (n_j,), or one number for all joints."""
+    """What each joint may do; None is no limit.
+
+    Arrays of shape (n_j,), or one number for all joints.
+    """
 
     lower: ArrayLike | None = None
     """Smallest angle [rad]."""
@@ -28,16 +33,24 @@ class Limits:
     pace: ArrayLike | None = None
     """Largest |q'| [rad/s] that longer soft ends may ask for; None: as far as `speed` goes."""
     tolerance: float = 1e-3
-    """Overshoot of the range [rad] that is let pass: joint stops of a simulator are soft, and logs ride them."""
+    """Overshoot of the range [rad] that is let pass: joint stops of a simulator are soft, and logs
+    ride them."""
 
     def widths(self, n_j: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """Lower, upper (tolerance included), speed and acceleration as arrays of shape (n_j,), infinite where unlimited.
+        """Lower, upper (tolerance included), speed and acceleration as arrays of shape (n_j,),
+        infinite where unlimited.
 
         Raises:
             SpecError: if a limit has another shape, is NaN, or leaves a joint no room.
         """
-        lower, upper = _each("lower", self.lower, -np.inf, n_j), _each("upper", self.upper, np.inf, n_j)
-        speed, acceleration = _each("speed", self.speed, np.inf, n_j), _each("acceleration", self.acceleration, np.inf, n_j)
+        lower, upper = (
+            _each("lower", self.lower, -np.inf, n_j),
+            _each("upper", self.upper, np.inf, n_j),
+        )
+        speed, acceleration = (
+            _each("speed", self.speed, np.inf, n_j),
+            _each("acceleration", self.acceleration, np.inf, n_j),
+        )
         if (lower > upper).any() or (speed <= 0.0).any() or (acceleration <= 0.0).any():
             raise SpecError("limits: expected lower ≤ upper, and speed and acceleration above zero")
         return lower - self.tolerance, upper + self.tolerance, speed, acceleration
@@ -54,7 +67,9 @@ class Limits:
 def _each(name: str, value: ArrayLike | None, otherwise: float, n_j: int) -> Floats:
     array = np.asarray(otherwise if value is None else value, dtype=float)
     if array.shape not in ((), (n_j,)) or np.isnan(array).any():
-        raise SpecError(f"limits.{name}: expected one number or {n_j}, none of them NaN, got {value!r}")
+        raise SpecError(
+            f"limits.{name}: expected one number or {n_j}, none of them NaN, got {value!r}"
+        )
     return np.broadcast_to(array, (n_j,))
 
 
@@ -67,22 +82,47 @@ def limit_breaches(spline: Spline, widths: tuple[Floats, Floats, Floats, Floats]
     """
     lower, upper, speed, acceleration = widths
     h = np.diff(spline.time)[:, None]
-    a, b, u, v = spline.position[:-1], spline.position[1:], spline.velocity[:-1], spline.velocity[1:]
-    middle = 3.0 * (b - a) / h - u - v  # Bernstein coefficients of the speed are u, middle, v: its hull
+    a, b, u, v = (
+        spline.position[:-1],
+        spline.position[1:],
+        spline.velocity[:-1],
+        spline.velocity[1:],
+    )
+    middle = (
+        3.0 * (b - a) / h - u - v
+    )  # Bernstein coefficients of the speed are u, middle, v: its hull
     found = _range_breaches(spline, h, lower, upper)
-    if np.isfinite(speed).any() and (np.maximum(np.maximum(abs(u), abs(v)), abs(middle)) > speed).any():
-        found = found + _over(Kind.SPEED, spline, *_extremum(spline.coefficients[:3] * [[[3.0]], [[2.0]], [[1.0]]], h), speed)
+    if (
+        np.isfinite(speed).any()
+        and (np.maximum(np.maximum(abs(u), abs(v)), abs(middle)) > speed).any()
+    ):
+        found = found + _over(
+            Kind.SPEED,
+            spline,
+            *_extremum(spline.coefficients[:3] * [[[3.0]], [[2.0]], [[1.0]]], h),
+            speed,
+        )
     if np.isfinite(acceleration).any():
         start, stop = 2.0 * (middle - u) / h, 2.0 * (v - middle) / h
         late = abs(stop) > abs(start)
-        found = found + _over(Kind.ACCELERATION, spline, np.where(late, h, 0.0), np.where(late, abs(stop), abs(start)), acceleration)
+        found = found + _over(
+            Kind.ACCELERATION,
+            spline,
+            np.where(late, h, 0.0),
+            np.where(late, abs(stop), abs(start)),
+            acceleration,
+        )
     return found
 
 
 def _range_breaches(spline: Spline, h: Floats, lower: Floats, upper: Floats) -> Breaches:
-    """Stretches outside the range, from the roots of the derivative, asked only where the control polygon leaves it."""
+    """Stretches outside the range, from the roots of the derivative, asked only where the control
+    polygon leaves it.
+    """
     ends, third = (spline.position[:-1], spline.position[1:]), h / 3.0
-    hull = np.stack([*ends, ends[0] + third * spline.velocity[:-1], ends[1] - third * spline.velocity[1:]])
+    hull = np.stack(
+        [*ends, ends[0] + third * spline.velocity[:-1], ends[1] - third * spline.velocity[1:]]
+    )
     piece, joint = np.nonzero((hull.max(axis=0) > upper) | (hull.min(axis=0) < lower))
     if not len(piece):
         return NONE
@@ -101,10 +141,18 @@ def _range_breaches(spline: Spline, h: Floats, lower: Floats, upper: Floats) -> 
 
 
 def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
-    """Where in [0, h] a quadratic (3, n - 1, n_j), highest power first, is largest in magnitude, and how large."""
+    """Where in [0, h] a quadratic (3, n - 1, n_j), highest power first, is largest in magnitude,
+    and how large.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         vertex = -0.5 * quadratic[1] / quadratic[0]
-    x = np.stack([np.zeros_like(vertex), np.broadcast_to(h, vertex.shape), np.where((vertex > 0.0) & (vertex < h), vertex, 0.0)])
+    x = np.stack(
+        [
+            np.zeros_like(vertex),
+            np.broadcast_to(h, vertex.shape),
+            np.where((vertex > 0.0) & (vertex < h), vertex, 0.0),
+        ]
+    )
     size = abs((quadratic[0] * x + quadratic[1]) * x + quadratic[2])
     worst = size.argmax(axis=0)[None]
     return np.take_along_axis(x, worst, 0)[0], np.take_along_axis(size, worst, 0)[0]
@@ -113,4 +161,6 @@ def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
 def _over(kind: Kind, spline: Spline, x: Floats, size: Floats, limit: Floats) -> Breaches:
     """Breaches where `size` (n - 1, n_j), reached x seconds into the stretch, exceeds its limit."""
     piece, joint = np.nonzero(size > limit * (1.0 + 1e-9))
-    return breaches(kind, spline.time[piece] + x[piece, joint], size[piece, joint] - limit[joint], joint)
+    return breaches(
+        kind, spline.time[piece] + x[piece, joint], size[piece, joint] - limit[joint], joint
+    )

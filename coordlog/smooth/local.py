@@ -1,8 +1,10 @@
-"""The default method: as smooth as can be everywhere, and closer to the samples only where a rule fails.
+"""The default method: as smooth as can be everywhere, and closer to the samples only where a rule
+fails.
 
-One cut-off and one set of weights serve all joints, so whatever linear coordination the log has, the path keeps. A failed
-look raises the weights of the knots it names by as much as halves their distance to the samples; where the path fails,
-and nowhere else, it turns step by step into the log itself.
+One cut-off and one set of weights serve all joints, so whatever linear coordination the log has,
+the path keeps. A failed look raises the weights of the knots it names by as much as halves their
+distance to the samples; where the path fails, and nowhere else, it turns step by step into the log
+itself.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from coordlog.smooth.metrics import jerk_of
 from coordlog.smooth.problem import Candidate, Problem
 from coordlog.smooth.spline import Spline
 
-_ROUNDS = 100  # each halves the distance to the samples somewhere; 30 take a radian below a nanoradian
+_ROUNDS = (
+    100  # each halves the distance to the samples somewhere; 30 take a radian below a nanoradian
+)
 _PATIENCE = 12  # rounds for which a breach that the raw path commits too is fought, or one only the certificate sees
 _SPREAD = 6  # times a knot is named before the knots next to it are drawn on too
 _STIFF = 1e-24  # rad per unit of force: weights grow no further
@@ -38,7 +42,9 @@ def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
     hot, named, unproven = np.zeros(0, np.intp), np.zeros(len(weight), int), 0
     for turn in range(_ROUNDS if len(weight) > 2 else 1):
         spline = problem.fit(lam, weight=weight, target=target)
-        softer = _softer(problem, spline, weight, target, lenient=lenient) if turn == 0 else None  # most logs need no more
+        softer = (
+            _softer(problem, spline, weight, target, lenient=lenient) if turn == 0 else None
+        )  # most logs need no more
         if softer is not None:
             return softer
         proof = judge.early(spline, hot=hot, lenient=lenient)
@@ -56,10 +62,14 @@ def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
     return None
 
 
-def _softer(problem: Problem, spline: Spline, weight: Floats, target: Floats, *, lenient: bool) -> Candidate | None:
-    """The same fit with its ends eased over more knots, if it is worth it: the longest ease that is proven, or none.
+def _softer(
+    problem: Problem, spline: Spline, weight: Floats, target: Floats, *, lenient: bool
+) -> Candidate | None:
+    """The same fit with its ends eased over more knots, if it is worth it: the longest ease that is
+    proven, or none.
 
-    An ease moves speed from the ends to the middle, so the pace that the joints can keep decides as well.
+    An ease moves speed from the ends to the middle, so the pace that the joints can keep decides as
+    well.
     """
     worth = _WORTH * jerk_of(spline, problem.knots)
     for eased in problem.eased():
@@ -80,9 +90,11 @@ def _around(problem: Problem, time: Floats) -> Ints:
 
 
 def _spread(named: Ints, knots: Ints) -> Ints:
-    """Knots to draw on: those named, and the wider around them the more often they were (counted in `named`).
+    """Knots to draw on: those named, and the wider around them the more often they were (counted in
+    `named`).
 
-    Holding the two knots beside a breach does not hold the path between them: its slopes there belong to their neighbours.
+    Holding the two knots beside a breach does not hold the path between them: its slopes there
+    belong to their neighbours.
     """
     knots = np.unique(knots)
     named[knots] += 1
@@ -96,8 +108,8 @@ def _spread(named: Ints, knots: Ints) -> Ints:
 def _raised(problem: Problem, weight: Floats, lam: float, at: Ints) -> Floats:
     """Weights that halve the path's distance to the samples at these knots, to first order.
 
-    More weight δ at them moves the residual there from r to r / (1 + δ c), c being what a unit of force at all of them
-    moves the path: the fit of the same force in place of the samples.
+    More weight δ at them moves the residual there from r to r / (1 + δ c), c being what a unit of
+    force at all of them moves the path: the fit of the same force in place of the samples.
     """
     force = np.zeros((len(weight), 1))
     force[at, 0] = 1.0 / weight[at]
@@ -109,7 +121,10 @@ def _raised(problem: Problem, weight: Floats, lam: float, at: Ints) -> Floats:
 
 
 def _moved_inside(problem: Problem, target: Floats, found: Breaches) -> Floats:
-    """Samples moved inward where the path leaves a joint's range; a log that rides a limit gives it nowhere to go."""
+    """Samples moved inward where the path leaves a joint's range.
+
+    A log that rides a limit gives it nowhere to go.
+    """
     found = found[found.kind == Kind.RANGE]
     if not len(found):
         return target

@@ -1,7 +1,8 @@
-"""How smooth a motion is: figures that lower is better of, except SPARC, which is better the closer to zero.
+"""How smooth a motion is: figures that lower is better of, except SPARC, which is better the closer
+to zero.
 
-All take uniform samples. Where a motion begins and ends at rest the jumps at its ends count, so jerk, acceleration and
-LDLJ see the samples padded with rest on both sides.
+All take uniform samples. Where a motion begins and ends at rest the jumps at its ends count, so
+jerk, acceleration and LDLJ see the samples padded with rest on both sides.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def path_length(q: Floats) -> float:
 def log_dimensionless_jerk(q: Floats, dt: float) -> float:
     """Log of ∫ |q'''|² dt · T³ / max |q'|², rest-padded; -∞ for a motion that does not move.
 
-    Source: Balasubramanian et al. 2015, J. NeuroEng. Rehabil. 12:112 (there with the opposite sign).
+    Source: Balasubramanian et al. 2015, J. NeuroEng. Rehabil. 12:112 (there with the opposite
+    sign).
     """
     fastest, duration = speed(q, dt).max(), dt * (len(q) - 1)
     if fastest == 0.0:
@@ -112,7 +114,9 @@ def sparc(speed: Floats, dt: float, *, cutoff: float = 10.0, threshold: float = 
     frequency, size = frequency[above[0] : above[-1] + 1], size[above[0] : above[-1] + 1]
     if len(frequency) < 2:
         return 0.0
-    return float(-np.hypot(np.diff(frequency) / (frequency[-1] - frequency[0]), np.diff(size)).sum())
+    return float(
+        -np.hypot(np.diff(frequency) / (frequency[-1] - frequency[0]), np.diff(size)).sum()
+    )
 
 
 def torque_rate(torque: Floats, dt: float) -> float:

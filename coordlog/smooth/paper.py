@@ -1,9 +1,11 @@
-"""The paper's method: joint by joint from the base, the smallest p by bisection, judged at the knots alone.
+"""The paper's method: joint by joint from the base, the smallest p by bisection, judged at the
+knots alone.
 
-Faithful to Algorithms 2 to 4, with four errors mended: the residual is squared, p = 1 is tried first (it need not be
-free), the p returned is the last one that was found free, and the whole path is proven afterwards like any other. p is in
-units of the step index. What makes it fast changes no p: a knot is asked about only where its configuration has moved
-further than the slack it is known to have, and knots that failed last are asked first.
+Faithful to Algorithms 2 to 4, with four errors mended: the residual is squared, p = 1 is tried
+first (it need not be free), the p returned is the last one that was found free, and the whole path
+is proven afterwards like any other. p is in units of the step index. What makes it fast changes no
+p: a knot is asked about only where its configuration has moved further than the slack it is known
+to have, and knots that failed last are asked first.
 """
 
 from __future__ import annotations
@@ -27,14 +29,19 @@ def paper(problem: Problem) -> Iterator[Candidate]:
     """Yield the path of the paper's search if it can be proven."""
     lam = search(problem)
     if lam is not None:
-        spline = problem.grid.fit_each(problem.knots.position, lam=lam, weight=problem.knots.weight, velocity=problem.velocity)
+        spline = problem.grid.fit_each(
+            problem.knots.position, lam=lam, weight=problem.knots.weight, velocity=problem.velocity
+        )
         proof = problem.judge.prove(spline, lenient=True)
         if not len(proof.found):
             yield problem.candidate(spline, lam, proof)
 
 
 def search(problem: Problem) -> Floats | None:
-    """Find λ [s³] of each joint (n_j,), Algorithms 2 to 4; None if the samples themselves break a rule at a knot."""
+    """Find λ [s³] of each joint (n_j,), Algorithms 2 to 4.
+
+    None if the samples themselves break a rule at a knot.
+    """
     knots, unit = _Knots(problem), problem.grid.unit
     if not knots.start():
         return None
@@ -58,14 +65,16 @@ def _fit(problem: Problem, joint: int, p: float) -> Spline:
     column = slice(joint, joint + 1)
     ends = None if problem.velocity is None else problem.velocity[:, column]
     lam = float(lam_from_p(p, problem.grid.unit))
-    return problem.grid.fit(problem.knots.position[:, column], lam=lam, weight=problem.knots.weight, velocity=ends)
+    return problem.grid.fit(
+        problem.knots.position[:, column], lam=lam, weight=problem.knots.weight, velocity=ends
+    )
 
 
 class _Knots:
     """The path at its knots, always free there, and what is known about how far each knot may move.
 
-    A knot has at most one reference: a configuration whose slack is known. It is asked about only where the joint at hand
-    has turned further from there than that slack allows.
+    A knot has at most one reference: a configuration whose slack is known. It is asked about only
+    where the joint at hand has turned further from there than that slack allows.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -73,12 +82,18 @@ class _Knots:
         self._problem, self._asked = problem, problem.judge.asked
         self._time, self._clearance = problem.knots.time, problem.config.clearance
         self._failed = np.zeros(len(self.path), bool)  # those that failed last
-        self._times = np.zeros(len(self.path), int)  # asked about each knot since its reference was made
-        self._room = np.zeros(len(self.path))  # rad that the joint at hand may turn from the reference
+        self._times = np.zeros(
+            len(self.path), int
+        )  # asked about each knot since its reference was made
+        self._room = np.zeros(
+            len(self.path)
+        )  # rad that the joint at hand may turn from the reference
 
     def start(self) -> bool:
         """Whether the samples are free, p = 1 for every joint."""
-        if not self._within(slice(None), self.path) or not self._ask(np.arange(len(self.path)), self.path):
+        if not self._within(slice(None), self.path) or not self._ask(
+            np.arange(len(self.path)), self.path
+        ):
             return False
         self._reference = self.path.copy()
         if self._asked.measures:
@@ -124,7 +139,9 @@ class _Knots:
         if not self._asked.measures or not self._asked.reach.size:
             return
         reach, joint = self._asked.reach, self._joint
-        pairs = np.flatnonzero(reach[:, joint] > 0.0)  # the others do not notice, and are free as the path stands
+        pairs = np.flatnonzero(
+            reach[:, joint] > 0.0
+        )  # the others do not notice, and are free as the path stands
         away = abs(self.path[index] - self._reference[index])
         away[:, joint] = 0.0
         left = self._slack[np.ix_(index, pairs)] - away @ reach[pairs].T
@@ -144,4 +161,7 @@ class _Knots:
         lower, upper = self._problem.judge.widths[:2]
         deviation = self._problem.config.max_deviation
         inside = bool(((values >= lower[joint]) & (values <= upper[joint])).all())
-        return inside and (deviation is None or bool((abs(values - self._problem.knots.position[:, joint]) <= deviation).all()))
+        return inside and (
+            deviation is None
+            or bool((abs(values - self._problem.knots.position[:, joint]) <= deviation).all())
+        )

@@ -15,7 +15,9 @@ from coordlog.smooth.judge import Judge, Proof
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.spline import Grid, Spline
 
-_LAM_MAX = 1e12  # knots³, a period of 6 000 knots; beyond it double precision leaves noise in the jerk
+_LAM_MAX = (
+    1e12  # knots³, a period of 6 000 knots; beyond it double precision leaves noise in the jerk
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,8 @@ class Problem:
 
     knots: Knots
     raw: Spline
-    """The interpolant of the knots, with the same ends: what a candidate is compared with, and replaced by."""
+    """The interpolant of the knots, with the same ends: what a candidate is compared with, and
+    replaced by."""
     grid: Grid
     velocity: Floats | None
     """Slopes at the ends, (2, n_j) rad/s; None: natural ends."""
@@ -46,13 +49,22 @@ class Problem:
     """Knots over which the grid eases soft ends."""
 
     def eased(self) -> Iterator[Problem]:
-        """The same with soft ends eased over more knots, as far as the path is long enough to tell, the longest first."""
+        """The same with soft ends eased over more knots, as far as the path is long enough to tell,
+        the longest first.
+        """
         for shorter, ease in zip((*LONGER[1:], EASE), LONGER, strict=False):
             if self.config.ends == "soft" and 2 * shorter < len(self.knots.time):
-                yield replace(self, grid=grid_for(self.knots.time, self.config, ease=ease), ease=ease)
+                yield replace(
+                    self, grid=grid_for(self.knots.time, self.config, ease=ease), ease=ease
+                )
 
-    def fit(self, lam: float, *, weight: Floats | None = None, target: Floats | None = None) -> Spline:
-        """The smoothing spline of all joints for one λ [s³]; weights and samples default to those of the knots."""
+    def fit(
+        self, lam: float, *, weight: Floats | None = None, target: Floats | None = None
+    ) -> Spline:
+        """The smoothing spline of all joints for one λ [s³].
+
+        Weights and samples default to those of the knots.
+        """
         return self.grid.fit(
             self.knots.position if target is None else target,
             lam=lam,
@@ -63,11 +75,19 @@ class Problem:
     @property
     def lam_max(self) -> float:
         """λ [s³] of the lowest cut-off asked for; "max" is half a period in the whole path."""
-        asked = 0.5 / (self.knots.time[-1] - self.knots.time[0]) if self.config.cutoff == "max" else float(self.config.cutoff)
+        asked = (
+            0.5 / (self.knots.time[-1] - self.knots.time[0])
+            if self.config.cutoff == "max"
+            else float(self.config.cutoff)
+        )
         unit = self.knots.unit
         return min(float(lam_from_cutoff(asked, unit)), _LAM_MAX * unit**3)
 
-    def candidate(self, spline: Spline, lam: float | Floats, proof: Proof, weight: Floats | None = None) -> Candidate:
+    def candidate(
+        self, spline: Spline, lam: float | Floats, proof: Proof, weight: Floats | None = None
+    ) -> Candidate:
         """Wrap up a path that was proven."""
         each = np.broadcast_to(np.asarray(lam, dtype=float), self.knots.position.shape[1:])
-        return Candidate(spline, each, self.knots.weight if weight is None else weight, proof, self.ease)
+        return Candidate(
+            spline, each, self.knots.weight if weight is None else weight, proof, self.ease
+        )

@@ -1,4 +1,6 @@
-"""What the raw path does wrong, and so what a candidate may do too: no smoothing is asked to be better than its log there."""
+"""What the raw path does wrong, and so what a candidate may do too: no smoothing is asked to be
+better than its log there.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,21 @@ class Raw:
     """The breaches of the raw path, looked up as late as possible."""
 
     def __init__(
-        self, spline: Spline, asked: Counted, samples: Samples, *, clearance: float, widths: tuple[Floats, Floats, Floats, Floats]
+        self,
+        spline: Spline,
+        asked: Counted,
+        samples: Samples,
+        *,
+        clearance: float,
+        widths: tuple[Floats, Floats, Floats, Floats],
     ) -> None:
         """Note limits and end points now, contacts between them when first wanted."""
-        self._spline, self._asked, self._samples, self._clearance = spline, asked, samples, clearance
+        self._spline, self._asked, self._samples, self._clearance = (
+            spline,
+            asked,
+            samples,
+            clearance,
+        )
         self._unit = float(np.median(np.diff(spline.time)))
         ends = slice(None, None, len(spline.time) - 1)
         self.ends = asked.try_on(spline.time[ends], spline.position[ends], clearance)
@@ -36,12 +49,15 @@ class Raw:
     def excuses(self, found: Breaches, *, lenient: bool) -> Bools:
         """Which breaches a candidate may keep.
 
-        Being closer to something than the clearance, as long as it is no closer than the end points are (if lenient: than
-        the raw path is anywhere). If lenient, also a collision of a pair that collides in the raw path about then and as
-        deeply, and a limit of a joint, or a rule about motion, that the raw path exceeds by as much.
+        Being closer to something than the clearance, as long as it is no closer than the end points
+        are (if lenient: than the raw path is anywhere). If lenient, also a collision of a pair that
+        collides in the raw path about then and as deeply, and a limit of a joint, or a rule about
+        motion, that the raw path exceeds by as much.
         """
         if not lenient:
-            near: Bools = (found.kind == Kind.CONTACT) & (found.depth <= np.minimum(self._clearance, _worst(self.ends, found)))
+            near: Bools = (found.kind == Kind.CONTACT) & (
+                found.depth <= np.minimum(self._clearance, _worst(self.ends, found))
+            )
             return near
         excused = np.zeros(len(found), bool)
         for i in np.flatnonzero(np.isin(found.kind, _LIMITS)):
@@ -51,15 +67,24 @@ class Raw:
         contact = found.kind == Kind.CONTACT
         if contact.any():
             deep = found.depth > self._clearance
-            excused |= contact & (found.depth <= _worst(self.contacts + self.ends, found)) & (~deep | self._then(found))
+            excused |= (
+                contact
+                & (found.depth <= _worst(self.contacts + self.ends, found))
+                & (~deep | self._then(found))
+            )
         return excused
 
     @cached_property
     def contacts(self) -> Breaches:
         """Contacts of the raw path at all samples, of every pair if the checker can tell."""
-        found, every = NONE, np.concatenate(self._samples.levels) if self._samples.levels else np.zeros(0, np.intp)
+        found, every = (
+            NONE,
+            np.concatenate(self._samples.levels) if self._samples.levels else np.zeros(0, np.intp),
+        )
         for index in (every[i : i + _BLOCK] for i in range(0, len(every), _BLOCK)):
-            found = found + self._asked.every(self._samples.time[index], self._samples(self._spline, index), self._clearance)
+            found = found + self._asked.every(
+                self._samples.time[index], self._samples(self._spline, index), self._clearance
+            )
         return found
 
     @cached_property
@@ -69,7 +94,10 @@ class Raw:
     def _then(self, found: Breaches) -> Bools:
         """Which pairs are in contact in the raw path at about the same time too."""
         raw = self.contacts
-        close = [abs(raw.time[raw.what == what] - time).min(initial=np.inf) for time, what in zip(found.time, found.what, strict=True)]
+        close = [
+            abs(raw.time[raw.what == what] - time).min(initial=np.inf)
+            for time, what in zip(found.time, found.what, strict=True)
+        ]
         return np.array(close) <= _ABOUT * self._unit
 
 

@@ -17,13 +17,14 @@ from coordlog.smooth.spline import Spline
 SMOOTHED = "smoothed"
 """Proven by every rule asked for."""
 PARTLY = "partly"
-"""Proven free of collision, but not all that was asked for could be had: clearance, speed or acceleration that the log lacks
-too, or a joint that had to stay as in the log. The reason names it."""
+"""Proven free of collision, but not all that was asked for could be had: clearance, speed or
+acceleration that the log lacks too, or a joint that had to stay as in the log. The reason names
+it."""
 KEPT_RAW = "kept_raw"
 """Nothing smoother could be proven: the path is the log's."""
 RAW_INFEASIBLE = "raw_infeasible"
-"""The log itself breaks a rule, and so does the path, smoothed or not: the same rule, about then, and no more deeply (at the
-samples, to 0.1 mm). Not safe."""
+"""The log itself breaks a rule, and so does the path, smoothed or not: the same rule, about then,
+and no more deeply (at the samples, to 0.1 mm). Not safe."""
 
 
 class Violation(NamedTuple):
@@ -62,7 +63,8 @@ class Result:
     violation: Violation | None
     """The breach that the reason speaks of."""
     certified: bool
-    """Proven free between samples too: at the clearance asked, or without touching for the pairs that fall short of it."""
+    """Proven free between samples too: at the clearance asked, or without touching for the pairs
+    that fall short of it."""
     spline: Spline
     raw: Spline
     """The interpolant of the knots with the same ends, which the figures `before` are of."""
@@ -91,15 +93,22 @@ class Result:
 
     @property
     def p(self) -> Floats:
-        """The paper's smoothing parameter of each joint, in units of the step index, shape (n_j,)."""
+        """The paper's smoothing parameter of each joint, in units of the step index, shape
+        (n_j,).
+        """
         return p_from_lam(self.lam, self.knots.unit)
 
     @property
     def cutoff(self) -> Floats:
-        """Cut-off of each joint at unit weight [Hz], shape (n_j,); infinite for a joint left raw."""
+        """Cut-off of each joint at unit weight [Hz], shape (n_j,).
+
+        Infinite for a joint left raw.
+        """
         return cutoff_from_lam(self.lam, self.knots.unit)
 
     def path(self) -> episode.Path:
         """Knots and spline as an episode carries them."""
         knots, spline = self.knots, self.spline
-        return episode.Path(knots.time, knots.position, self.weight, spline.time, spline.position, spline.velocity)
+        return episode.Path(
+            knots.time, knots.position, self.weight, spline.time, spline.position, spline.velocity
+        )

@@ -1,7 +1,8 @@
 """One cut-off for all joints: the lowest that bisection in log frequency can prove.
 
-Feasibility is not monotone in the cut-off, so bisection finds one edge of it, not the lowest of all; what it returns is
-proven all the same. The smoother is linear: with one cut-off, linear coordination between joints survives.
+Feasibility is not monotone in the cut-off, so bisection finds one edge of it, not the lowest of
+all; what it returns is proven all the same. The smoother is linear: with one cut-off, linear
+coordination between joints survives.
 """
 
 from __future__ import annotations

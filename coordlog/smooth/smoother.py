@@ -1,4 +1,6 @@
-"""From a noisy joint path to one that is smoother and proven, or the same path and the reason why not."""
+"""From a noisy joint path to one that is smoother and proven, or the same path and the reason why
+not.
+"""
 
 from __future__ import annotations
 
@@ -47,25 +49,32 @@ def smooth(
 
     Args:
         time: Sample times [s], shape (n,).
-        q: Joint angles [rad], shape (n, n_j), columns from the base to the tip; NaN marks a missing sample.
+        q: Joint angles [rad], shape (n, n_j), columns from the base to the tip; NaN marks a missing
+            sample.
         checker: Decides which configurations are allowed, see `coordlog.smooth.feasibility`.
         limits: Range, speed and acceleration of the joints.
-        end_velocity: Joint velocities [rad/s] at the first and last time, shape (2, n_j), for ends="keep".
+        end_velocity: Joint velocities [rad/s] at the first and last time, shape (2, n_j), for
+            ends="keep".
         joints: Names for the columns, for the reason.
-        **options: Fields of `coordlog.smooth.config.Config`: method, cutoff, max_deviation, clearance, ends, dense,
+        **options: Fields of `coordlog.smooth.config.Config`: method, cutoff, max_deviation,
+        clearance, ends, dense,
             certify, budget.
 
     Returns:
         The path with its status: smoothed, partly, kept_raw or raw_infeasible.
 
     Raises:
-        SpecError: if samples, limits, velocities or the checker's answers have a wrong shape or value.
-        ConfigError: if an option is unknown or out of range, or a certificate is wanted of a checker without distances.
+        SpecError: if samples, limits, velocities or the checker's answers have a wrong shape or
+            value.
+        ConfigError: if an option is unknown or out of range, or a certificate is wanted of a
+            checker without distances.
     """
     began, config, knots = process_time(), Config.of(**options), clean(time, q)
     if len(joints) not in (0, knots.position.shape[1]):
         raise SpecError(f"joints: expected {knots.position.shape[1]} names, got {len(joints)}")
-    problem = _problem(knots, checker, limits or Limits(), _end_slopes(config, knots, end_velocity), config)
+    problem = _problem(
+        knots, checker, limits or Limits(), _end_slopes(config, knots, end_velocity), config
+    )
     best, spent = _search(problem)
     names = joints or [f"joint {i}" for i in range(knots.position.shape[1])]
     status, reason, violation, best = _verdict(problem, best, spent, names)
@@ -90,23 +99,34 @@ def smooth(
 def _end_slopes(config: Config, knots: Knots, given: ArrayLike | None) -> Floats | None:
     shape = (2, knots.position.shape[1])
     if (given is None) == (config.ends == "keep"):
-        raise ConfigError(f"end_velocity: needed with ends='keep', and only there; got ends='{config.ends}'")
+        raise ConfigError(
+            f"end_velocity: needed with ends='keep', and only there; got ends='{config.ends}'"
+        )
     if given is None:
         return np.zeros(shape) if config.clamped else None
     slopes = np.asarray(given, dtype=float)
     if slopes.shape != shape or not np.isfinite(slopes).all():
-        raise SpecError(f"end_velocity: expected finite numbers of shape {shape}, got shape {slopes.shape}")
+        raise SpecError(
+            f"end_velocity: expected finite numbers of shape {shape}, got shape {slopes.shape}"
+        )
     return slopes
 
 
-def _problem(knots: Knots, checker: Checker, limits: Limits, velocity: Floats | None, config: Config) -> Problem:
+def _problem(
+    knots: Knots, checker: Checker, limits: Limits, velocity: Floats | None, config: Config
+) -> Problem:
     grid = grid_for(knots.time, config)
     raw = grid.fit(knots.position, lam=0.0, weight=knots.weight, velocity=velocity)
-    return Problem(knots, raw, grid, velocity, Judge(checker, knots, raw, limits=limits, config=config), config)
+    return Problem(
+        knots, raw, grid, velocity, Judge(checker, knots, raw, limits=limits, config=config), config
+    )
 
 
 def _search(problem: Problem) -> tuple[Candidate | None, bool]:
-    """The last candidate that a method proves, each being smoother than the one before; and whether the budget ran out."""
+    """The last candidate that a method proves, each being smoother than the one before.
+
+    And whether the budget ran out.
+    """
     best, asked = None, problem.judge.asked
     asked.budget = problem.config.budget
     try:
@@ -119,7 +139,9 @@ def _search(problem: Problem) -> tuple[Candidate | None, bool]:
         asked.budget = None  # the verdict is owed in any case
 
 
-def _verdict(problem: Problem, best: Candidate | None, spent: bool, names: Sequence[str]) -> tuple[str, str, Violation | None, Candidate]:
+def _verdict(
+    problem: Problem, best: Candidate | None, spent: bool, names: Sequence[str]
+) -> tuple[str, str, Violation | None, Candidate]:
     """Status, reason, violation and the path to return."""
     if best is None:
         return _kept(problem, spent, names)
@@ -127,24 +149,51 @@ def _verdict(problem: Problem, best: Candidate | None, spent: bool, names: Seque
     if len(excused):
         violation = _worst(problem, excused, names)
         if _unsafe(problem, best.spline, excused):
-            return RAW_INFEASIBLE, f"the log itself breaks a rule, and so does the path: {violation}", violation, best
-        return PARTLY, f"not all that was asked for could be had, nor does the log have it: {violation}", violation, best
+            return (
+                RAW_INFEASIBLE,
+                f"the log itself breaks a rule, and so does the path: {violation}",
+                violation,
+                best,
+            )
+        return (
+            PARTLY,
+            f"not all that was asked for could be had, nor does the log have it: {violation}",
+            violation,
+            best,
+        )
     raw = [name for name, lam in zip(names, best.lam, strict=True) if lam == 0.0]
     if raw:
-        return PARTLY, f"left as in the log, for nothing smoother was free: {', '.join(raw)}", None, best
+        return (
+            PARTLY,
+            f"left as in the log, for nothing smoother was free: {', '.join(raw)}",
+            None,
+            best,
+        )
     return SMOOTHED, "", None, best
 
 
-def _kept(problem: Problem, spent: bool, names: Sequence[str]) -> tuple[str, str, Violation | None, Candidate]:
+def _kept(
+    problem: Problem, spent: bool, names: Sequence[str]
+) -> tuple[str, str, Violation | None, Candidate]:
     """The verdict where no candidate was proven: the raw path, and whether that is free."""
     raw, n_j = problem.raw, problem.knots.position.shape[1]
     failed, proof = problem.judge.failed, problem.judge.survey(problem.raw)
     kept = Candidate(raw, np.zeros(n_j), problem.knots.weight, proof, problem.ease)
     if len(proof.found) and _unsafe(problem, raw, proof.found):
         violation = _worst(problem, proof.found, names)
-        return RAW_INFEASIBLE, f"the log itself breaks a rule, and no path was found that does not: {violation}", violation, kept
+        return (
+            RAW_INFEASIBLE,
+            f"the log itself breaks a rule, and no path was found that does not: {violation}",
+            violation,
+            kept,
+        )
     if spent:
-        return KEPT_RAW, f"the checker was asked about {problem.config.budget} configurations without a proof", None, kept
+        return (
+            KEPT_RAW,
+            f"the checker was asked about {problem.config.budget} configurations without a proof",
+            None,
+            kept,
+        )
     failure = _worst(problem, failed if len(failed) else proof.found, names)
     return KEPT_RAW, f"no smoother path could be proven: {failure}", failure, kept
 
@@ -157,5 +206,9 @@ def _worst(problem: Problem, found: Breaches, names: Sequence[str]) -> Violation
     """The deepest breach of the gravest kind."""
     i = int(np.lexsort((-found.depth, found.kind))[0])
     kind, what = Kind(int(found.kind[i])), int(found.what[i])
-    text = problem.judge.asked.describe(what) if kind in (Kind.CONTACT, Kind.UNPROVEN, Kind.MOTION) else names[what]
+    text = (
+        problem.judge.asked.describe(what)
+        if kind in (Kind.CONTACT, Kind.UNPROVEN, Kind.MOTION)
+        else names[what]
+    )
     return Violation(kind.name.lower(), float(found.time[i]), text, float(found.depth[i]))

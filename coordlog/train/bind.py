@@ -1,4 +1,6 @@
-"""From what a log or an environment says of itself (its `coordlog.env` record) to what training needs to know."""
+"""From what a log or an environment says of itself (its `coordlog.env` record) to what training
+needs to know.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +8,18 @@ from functools import partial
 
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
-from coordlog.sim.config import EnvConfig, RewardConfig, from_mapping
-from coordlog.sim.reward import Flags, rewards
-from coordlog.sim.robot import Robot
-from coordlog.sim.state import StateView
+from coordlog.robots.robot import Robot
+from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+from coordlog.tasks.reach.observation import StateView
+from coordlog.tasks.reach.reward import Flags, rewards
 from coordlog.train.relabel import GoalView, RewardFunction
 from coordlog.train.task import Motion, Task
 
 FARTHEST = 2.0
-"""A palm is taken to be no further from its goal than this many workspace radii; bounds the return."""
+"""A palm is taken to be no further from its goal than this many workspace radii.
+
+Bounds the return.
+"""
 SPHERES = ("spheres", "nearness")
 """Parts of a state that tell of one sphere after the other."""
 SPHERE = 4
@@ -32,7 +37,9 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
     """
     layout, places = env["layout"], StateView.from_json(env).places
     listed = tuple(places[name] for name in SPHERES if name in places)
-    spheres = (places["spheres"].stop - places["spheres"].start) // SPHERE if "spheres" in places else 0
+    spheres = (
+        (places["spheres"].stop - places["spheres"].start) // SPHERE if "spheres" in places else 0
+    )
     return Task(
         n_x=layout["n_x"],
         n_u=layout["n_u"],
@@ -56,7 +63,15 @@ def goal_view(env: Json) -> GoalView:
     view, config = StateView.from_json(env), from_mapping(EnvConfig, env["config"])
     difference = view.places.get("difference")
     palms, goals = view.places["palms"], view.places["goals"]
-    return GoalView(palms, goals, difference, view.offset, view.scale, config.goal_radius, config.boundary_radius)
+    return GoalView(
+        palms,
+        goals,
+        difference,
+        view.offset,
+        view.scale,
+        config.goal_radius,
+        config.boundary_radius,
+    )
 
 
 def motion(env: Json) -> Motion:
@@ -68,14 +83,17 @@ def motion(env: Json) -> Motion:
 
 
 def require_alike(first: Json, other: Json, *, where: str) -> None:
-    """Refuse logs of another robot, state, action or control period: the same action would mean another motion.
+    """Refuse logs of another robot, state, action or control period: the same action would mean
+    another motion.
 
     Raises:
         SpecError: naming what differs.
     """
     for key in SAME:
         if first[key] != other[key]:
-            raise SpecError(f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time")
+            raise SpecError(
+                f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
+            )
     before, now = (env["config"]["control_period"] for env in (first, other))
     if before != now:
         raise SpecError(
@@ -83,5 +101,12 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
         )
 
 
-def _rewards(constants: RewardConfig, distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array) -> Array:
+def _rewards(
+    constants: RewardConfig,
+    distance: Array,
+    boundary: Array,
+    goal: Array,
+    collision: Array,
+    instability: Array,
+) -> Array:
     return rewards(distance, Flags(boundary, goal, collision, instability), constants)

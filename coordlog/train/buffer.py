@@ -1,7 +1,8 @@
 """Live transitions, first in, first out.
 
-The buffer has one lane per simulation and one slot per control step: slot p of lane l is row p · lanes + l, and what follows
-a transition in its episode stands in the next slot of its lane. So an episode needs no index, and a block is one write.
+The buffer has one lane per simulation and one slot per control step: slot p of lane l is row p ·
+lanes + l, and what follows a transition in its episode stands in the next slot of its lane. So an
+episode needs no index, and a block is one write.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, StorageError
-from coordlog.train.checkpoint import load_arrays, save_arrays
+from coordlog.policies.checkpoint import load_arrays, save_arrays
 from coordlog.train.relabel import RewardFunction, draw_later
 
 SEGMENT = "coordlog replay segment"
 
 
 class Block(NamedTuple):
-    """n control steps of all lanes. A truncated step is a step like any other: its `next_state` is real and is bootstrapped from."""
+    """n control steps of all lanes.
+
+    A truncated step is a step like any other: its `next_state` is real and is bootstrapped from.
+    """
 
     state: Array  # (n, lanes, n_x) float32
     action: Array  # (n, lanes, n_u) float32, executed
@@ -38,7 +42,9 @@ class Block(NamedTuple):
 class ReplayBuffer:
     """The last `capacity` live transitions, with rewards unscaled."""
 
-    def __init__(self, capacity: int, lanes: int, *, widths: tuple[int, int, int], reward: RewardFunction) -> None:
+    def __init__(
+        self, capacity: int, lanes: int, *, widths: tuple[int, int, int], reward: RewardFunction
+    ) -> None:
         """Reserve the memory; the system provides it as it is written to.
 
         Args:
@@ -51,7 +57,9 @@ class ReplayBuffer:
             ConfigError: if a slot does not fit.
         """
         if capacity < lanes:
-            raise ConfigError(f"replay.capacity: expected at least one transition per simulation, {lanes}, got {capacity}")
+            raise ConfigError(
+                f"replay.capacity: expected at least one transition per simulation, {lanes}, got {capacity}"
+            )
         n_x, n_u, k = widths
         self.widths, self.slots, self.lanes, self._reward = widths, capacity // lanes, lanes, reward
         self.total = 0
@@ -66,11 +74,16 @@ class ReplayBuffer:
             "collision": np.zeros(shape, np.bool_),
             "instability": np.zeros(shape, np.bool_),
             "terminated": np.zeros(shape, np.bool_),
-            "mishaps": np.zeros(shape, np.int32),  # collisions and falls of the lane so far, this step's included
+            "mishaps": np.zeros(
+                shape, np.int32
+            ),  # collisions and falls of the lane so far, this step's included
             "episode": np.zeros(shape, np.int32),
             "step": np.zeros(shape, np.int32),
         }
-        self._rows = {name: column.reshape(self.slots * lanes, *column.shape[2:]) for name, column in self._columns.items()}
+        self._rows = {
+            name: column.reshape(self.slots * lanes, *column.shape[2:])
+            for name, column in self._columns.items()
+        }
         self._length = np.zeros(0, np.int32)  # steps so far of each episode, by number
 
     def __len__(self) -> int:
@@ -85,13 +98,24 @@ class ReplayBuffer:
         """
         n = len(block.step)
         if n > self.slots:
-            raise ConfigError(f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got {n}")
-        flat = {name: array.reshape(n * self.lanes, *array.shape[2:]) for name, array in block._asdict().items()}
-        reward = self._reward(flat["distance"], flat["boundary"], flat["goal"], flat["collision"], flat["instability"])
+            raise ConfigError(
+                f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got {n}"
+            )
+        flat = {
+            name: array.reshape(n * self.lanes, *array.shape[2:])
+            for name, array in block._asdict().items()
+        }
+        reward = self._reward(
+            flat["distance"], flat["boundary"], flat["goal"], flat["collision"], flat["instability"]
+        )
         slots = (self.total + np.arange(n)) % self.slots
         before = self._columns["mishaps"][(self.total - 1) % self.slots]  # of a new buffer: zeros
         mishaps = before + np.cumsum(block.collision | block.instability, axis=0, dtype=np.int32)
-        values = {**block._asdict(), "reward": reward.reshape(n, self.lanes, -1), "mishaps": mishaps}
+        values = {
+            **block._asdict(),
+            "reward": reward.reshape(n, self.lanes, -1),
+            "mishaps": mishaps,
+        }
         for name, column in self._columns.items():
             column[slots] = values[name]
         self._count(flat["episode"], flat["step"])
@@ -100,7 +124,9 @@ class ReplayBuffer:
     def _count(self, episode: Array, step: Array) -> None:
         missing = int(episode.max()) + 1 - len(self._length)
         if missing > 0:
-            self._length = np.concatenate((self._length, np.zeros(max(missing, len(self._length)), np.int32)))
+            self._length = np.concatenate(
+                (self._length, np.zeros(max(missing, len(self._length)), np.int32))
+            )
         np.maximum.at(self._length, episode, step.astype(np.int32) + 1)
 
     def draw(self, rng: np.random.Generator, size: int) -> Array:
@@ -108,9 +134,13 @@ class ReplayBuffer:
         return rng.integers(len(self), size=size)
 
     def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
-        """Rows of the n steps from each row on, and which of them are stored and of its episode; the others repeat the last that is."""
+        """Rows of the n steps from each row on, and which of them are stored and of its episode;
+        the others repeat the last that is.
+        """
         left = self._last_step(rows) - self._rows["step"].take(rows)
-        return self._after(rows[:, None], np.minimum(np.arange(n), left[:, None])), np.arange(n) <= left[:, None]
+        return self._after(rows[:, None], np.minimum(np.arange(n), left[:, None])), np.arange(
+            n
+        ) <= left[:, None]
 
     def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
         """A column at some rows of any shape."""
@@ -131,20 +161,25 @@ class ReplayBuffer:
         left = self._last_step(rows) - self._rows["step"].take(rows)
         then = self._after(rows, np.minimum(left, horizon - 1) if horizon > 0 else left)
         mishap = self._rows["collision"].take(rows) | self._rows["instability"].take(rows)
-        return np.asarray(self._rows["mishaps"].take(then) == self._rows["mishaps"].take(rows) - mishap)
+        return np.asarray(
+            self._rows["mishaps"].take(then) == self._rows["mishaps"].take(rows) - mishap
+        )
 
     def _last_step(self, rows: Array) -> Array:
         return np.asarray(self._length.take(self._rows["episode"].take(rows)) - 1)
 
     def _after(self, rows: Array, steps: Array) -> Array:
         """Rows that many slots later in the same lane."""
-        return np.asarray((rows // self.lanes + steps) % self.slots * self.lanes + rows % self.lanes)
+        return np.asarray(
+            (rows // self.lanes + steps) % self.slots * self.lanes + rows % self.lanes
+        )
 
     def save(self, folder: Path) -> None:
-        """Write the slots added since the last save as one more segment file; `total` at this time is what `load` needs.
+        """Write the slots added since the last save as one more segment file; `total` at this time
+        is what `load` needs.
 
-        Segments that even the previous save no longer needs are removed, so a crash between this and the caller's
-        own checkpoint leaves that save whole.
+        Segments that even the previous save no longer needs are removed, so a crash between this
+        and the caller's own checkpoint leaves that save whole.
 
         Raises:
             StorageError: if the file system refuses.
@@ -156,11 +191,17 @@ class ReplayBuffer:
         if first < self.total:
             slots = np.arange(first, self.total) % self.slots
             arrays = {name: column[slots] for name, column in self._columns.items()}
-            save_arrays(folder / f"{first:012d}-{self.total:012d}.safetensors", arrays, kind=SEGMENT, meta={})
+            save_arrays(
+                folder / f"{first:012d}-{self.total:012d}.safetensors",
+                arrays,
+                kind=SEGMENT,
+                meta={},
+            )
         self._saved = self.total
 
     def load(self, folder: Path, *, total: int) -> None:
-        """Continue from the save made when `total` slots had been written; later segments are removed.
+        """Continue from the save made when `total` slots had been written; later segments are
+        removed.
 
         Raises:
             StorageError: if a segment is missing.

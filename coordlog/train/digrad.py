@@ -1,7 +1,9 @@
-"""DiGrad: one actor, one critic head per task, and a policy gradient in which each head moves only the joints of its task.
+"""DiGrad: one actor, one critic head per task, and a policy gradient in which each head moves only
+the joints of its task.
 
-Paper §III-A, with its open ends tied as in DDPG (Lillicrap et al. 2016) and TD3 (Fujimoto et al. 2018). Everything random
-in an update comes from the learner's own generator, so an update depends on its state and its batch alone.
+Paper §III-A, with its open ends tied as in DDPG (Lillicrap et al. 2016) and TD3 (Fujimoto et al.
+2018). Everything random in an update comes from the learner's own generator, so an update depends
+on its state and its batch alone.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from coordlog.episode import Array
 from coordlog.errors import SpecError
-from coordlog.train.checkpoint import under
+from coordlog.policies.checkpoint import under
 from coordlog.train.config import LearnerConfig, NetworkConfig
 from coordlog.train.gradients import head_weights, project_conflicts
 from coordlog.train.networks import Actor, Critic
@@ -38,7 +40,10 @@ class Batch(NamedTuple):
 
 
 class Update(NamedTuple):
-    """What one update did, as tensors (reading one waits for the device); values in units of the unscaled return."""
+    """What one update did, as tensors (reading one waits for the device).
+
+    Values in units of the unscaled return.
+    """
 
     critic_loss: Tensor  # () eq. (4), in scaled units
     q: Tensor  # (k,) mean Q_i(s, a) over the batch
@@ -50,7 +55,10 @@ class Update(NamedTuple):
 
 
 class Learner:
-    """Networks, targets and optimisers of one run; `update` is the paper's line "Update networks"."""
+    """Networks, targets and optimisers of one run.
+
+    `update` is the paper's line "Update networks".
+    """
 
     def __init__(
         self,
@@ -70,7 +78,8 @@ class Learner:
             mask: Which task moves which action, shape (k, n_u); see `gradients.gradient_mask`.
             network: Shape of the networks.
             config: Constants of the update.
-            bounds: Least and greatest return any policy can have, unscaled; see `relabel.value_bounds`.
+            bounds: Least and greatest return any policy can have, unscaled; see
+                `relabel.value_bounds`.
             seed: Seed of the weights and of everything random in an update.
             device: Where the networks live.
         """
@@ -79,37 +88,69 @@ class Learner:
         birth = torch.Generator().manual_seed(seed)
         self.actor = Actor(n_x, n_u, config=network, generator=birth).to(self.device)
         self.critic = Critic(n_x, n_u, k, config=network, generator=birth).to(self.device)
-        self.target_actor = Actor(n_x, n_u, config=network, generator=birth).to(self.device).requires_grad_(False)
-        self.target_critic = Critic(n_x, n_u, k, config=network, generator=birth).to(self.device).requires_grad_(False)
+        self.target_actor = (
+            Actor(n_x, n_u, config=network, generator=birth).to(self.device).requires_grad_(False)
+        )
+        self.target_critic = (
+            Critic(n_x, n_u, k, config=network, generator=birth)
+            .to(self.device)
+            .requires_grad_(False)
+        )
         self.target_actor.load_state_dict(self.actor.state_dict())
         self.target_critic.load_state_dict(self.critic.state_dict())
 
-        decayed = {name: tensor for name, tensor in self.critic.named_parameters() if name.endswith("weight")}
+        decayed = {
+            name: tensor
+            for name, tensor in self.critic.named_parameters()
+            if name.endswith("weight")
+        }
         others = [tensor for name, tensor in self.critic.named_parameters() if name not in decayed]
-        groups: list[dict[str, Any]] = [{"params": list(decayed.values()), "weight_decay": config.weight_decay}, {"params": others}]
-        self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=config.actor_rate, fused=True)
+        groups: list[dict[str, Any]] = [
+            {"params": list(decayed.values()), "weight_decay": config.weight_decay},
+            {"params": others},
+        ]
+        self.actor_optimiser = torch.optim.Adam(
+            self.actor.parameters(), lr=config.actor_rate, fused=True
+        )
         self.critic_optimiser = torch.optim.Adam(groups, lr=config.critic_rate, fused=True)
         self.generator = torch.Generator(self.device).manual_seed(seed)
 
-        online, targets = torch.nn.ModuleList([self.actor, self.critic]), torch.nn.ModuleList([self.target_actor, self.target_critic])
-        self._online, self._targets = (tuple[Tensor, ...](networks.parameters()) for networks in (online, targets))
-        self._moments = [(target, moment) for target, moment in zip(targets.buffers(), online.buffers(), strict=True) if moment.dim() > 1]
+        online, targets = (
+            torch.nn.ModuleList([self.actor, self.critic]),
+            torch.nn.ModuleList([self.target_actor, self.target_critic]),
+        )
+        self._online, self._targets = (
+            tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
+        )
+        self._moments = [
+            (target, moment)
+            for target, moment in zip(targets.buffers(), online.buffers(), strict=True)
+            if moment.dim() > 1
+        ]
         dtype = self._online[0].dtype
         self._ascended = 1 if network.ascent == "first" else network.critics
-        self._head_weights = torch.as_tensor(head_weights(config.gradient, mask), dtype=dtype, device=self.device)
+        self._head_weights = torch.as_tensor(
+            head_weights(config.gradient, mask), dtype=dtype, device=self.device
+        )
         self._bounds = (bounds[0] * config.reward_scale, bounds[1] * config.reward_scale)
         zero = torch.zeros((), dtype=dtype, device=self.device)
         self._last = (zero.expand(k), zero, zero)
 
     def slow_down(self, share: float) -> None:
         """Learn at this share of the configured rates from now on."""
-        rates = (self.actor_optimiser, self.config.actor_rate), (self.critic_optimiser, self.config.critic_rate)
+        rates = (
+            (self.actor_optimiser, self.config.actor_rate),
+            (self.critic_optimiser, self.config.critic_rate),
+        )
         for optimiser, rate in rates:
             for group in optimiser.param_groups:
                 group["lr"] = rate * share
 
     def update(self, batch: Batch, *, behaviour_weight: float = 0.0, effort: float = 0.0) -> Update:
-        """One gradient step of the critic; at every `actor_delay`-th one, of the actor, and of the targets towards both."""
+        """One gradient step of the critic.
+
+        At every `actor_delay`-th one, of the actor, and of the targets towards both.
+        """
         self.updates += 1
         loss, q = self._update_critic(batch)
         if self.updates % self.config.actor_delay == 0:
@@ -121,24 +162,34 @@ class Learner:
 
     @torch.no_grad()
     def targets(self, batch: Batch) -> Tensor:
-        """y_i = r_i + γ (1 - terminated) min_e Q'_ei(s', clip(μ'(s') + ε)), clipped to the bounds: (B, k), in scaled units.
+        """y_i = r_i + γ (1 - terminated) min_e Q'_ei(s', clip(μ'(s') + ε)), clipped to the bounds:
+        (B, k), in scaled units.
 
-        Over n steps r_i is their discounted sum and γ becomes γⁿ; `returns.n_step` has worked both out.
+        Over n steps r_i is their discounted sum and γ becomes γⁿ; `returns.n_step` has worked both
+        out.
 
-        The smoothing noise ε and the minimum over members e are TD3's (target_noise = 0 and one critic give the paper's y_i).
+        The smoothing noise ε and the minimum over members e are TD3's (target_noise = 0 and one
+        critic give the paper's y_i).
         """
         config = self.config
         action = self.target_actor(batch.next_state)
         if config.target_noise > 0:
-            noise = torch.empty_like(action).normal_(0, config.target_noise, generator=self.generator)
-            action = action.add_(noise.clamp_(-config.target_clip, config.target_clip)).clamp_(-1, 1)
+            noise = torch.empty_like(action).normal_(
+                0, config.target_noise, generator=self.generator
+            )
+            action = action.add_(noise.clamp_(-config.target_clip, config.target_clip)).clamp_(
+                -1, 1
+            )
         value: Tensor = self.target_critic(batch.next_state, action)
         value = value.amin(dim=0) if len(value) > 1 else value[0]
         y = torch.addcmul(batch.reward * config.reward_scale, batch.discount, value)
         return y.clamp_(*self._bounds) if config.clip_targets else y
 
     def _update_critic(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """Eq. (4): L = Σ_i mean (Q_i(s, a) - y_i)², summed over members. Returns the loss and Q (E, B, k)."""
+        """Eq. (4): L = Σ_i mean (Q_i(s, a) - y_i)², summed over members.
+
+        Returns the loss and Q (E, B, k).
+        """
         y = self.targets(batch)
         q: Tensor = self.critic(batch.state, batch.action, training=True, generator=self.generator)
         loss = (q - y).square().sum() / len(y)
@@ -147,59 +198,96 @@ class Learner:
         self.critic_optimiser.step()
         return loss.detach(), q.detach()
 
-    def _update_actor(self, batch: Batch, behaviour_weight: float, effort: float) -> tuple[Tensor, Tensor, Tensor]:
+    def _update_actor(
+        self, batch: Batch, behaviour_weight: float, effort: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Eqs. (2) and (3), with the behaviour term and the normalisation of TD3+BC if asked for.
 
-        θ^μ ascends mean_s Σ_i (m_i ⊙ ∇_a Q_i(s, a))ᵀ ∇_θ μ(s) / λ - w ∇_θ mean |μ(s) - a_logged|² / n_u at a = μ(s), λ = mean |Q|.
-        The effort term, w_e mean |μ(s)|² / n_u, joins the loss likewise. The behaviour term is divided by B, not by the number of samples
-        it applies to: a sample's balance of value against imitation does not depend on what else is in the batch.
+        θ^μ ascends mean_s Σ_i (m_i ⊙ ∇_a Q_i(s, a))ᵀ ∇_θ μ(s) / λ - w ∇_θ mean |μ(s) - a_logged|² /
+        n_u at a = μ(s), λ = mean |Q|. The effort term, w_e mean |μ(s)|² / n_u, joins the loss
+        likewise. The behaviour term is divided by B, not by the number of samples it applies to: a
+        sample's balance of value against imitation does not depend on what else is in the batch.
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
         q: Tensor = self.critic(batch.state, leaf, count=self._ascended).mean(dim=0)  # (B, k)
         heads = q.sum(dim=0).unbind()
-        slopes = [torch.autograd.grad(head, leaf, retain_graph=True)[0] for head in heads]  # k of (B, n_u)
+        slopes = [
+            torch.autograd.grad(head, leaf, retain_graph=True)[0] for head in heads
+        ]  # k of (B, n_u)
         with torch.no_grad():
             q = q.detach()
-            size = len(q) * (q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1)
+            size = len(q) * (
+                q.abs().mean().clamp_min(SMALLEST_SCALE) if self.config.normalise else 1
+            )
             away = leaf - batch.wanted
             behaviour = (away.square() * batch.imitated).mean()
-            pull = away * batch.imitated * (2 * behaviour_weight / away.numel()) + leaf * (2 * effort / leaf.numel())
+            pull = away * batch.imitated * (2 * behaviour_weight / away.numel()) + leaf * (
+                2 * effort / leaf.numel()
+            )
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()
-        self._step_actor(action, [slope * weight / size for slope, weight in zip(slopes, self._head_weights, strict=True)], pull)
+        self._step_actor(
+            action,
+            [
+                slope * weight / size
+                for slope, weight in zip(slopes, self._head_weights, strict=True)
+            ],
+            pull,
+        )
         return q.mean(dim=0) / self.config.reward_scale, behaviour, saturation
 
     def _step_actor(self, action: Tensor, ascents: list[Tensor], pull: Tensor) -> None:
-        """Back-propagate the action gradients through μ: their sum, or for "pcgrad" their projected sum over θ^μ."""
+        """Back-propagate the action gradients through μ: their sum, or for "pcgrad" their projected
+        sum over θ^μ.
+        """
         self.actor_optimiser.zero_grad(set_to_none=True)
         if self.config.gradient != "pcgrad":
             action.backward(gradient=pull - torch.stack(ascents).sum(dim=0))  # type: ignore[no-untyped-call]
         else:
             parameters = tuple(self.actor.parameters())
             flat = [
-                torch.cat([part.reshape(-1) for part in torch.autograd.grad(action, parameters, grad_outputs=-ascent, retain_graph=True)])
+                torch.cat(
+                    [
+                        part.reshape(-1)
+                        for part in torch.autograd.grad(
+                            action, parameters, grad_outputs=-ascent, retain_graph=True
+                        )
+                    ]
+                )
                 for ascent in ascents
             ]
             action.backward(gradient=pull)  # type: ignore[no-untyped-call]
             merged = project_conflicts(flat, generator=self.generator)
-            for parameter, part in zip(parameters, torch.split(merged, [parameter.numel() for parameter in parameters]), strict=True):
+            for parameter, part in zip(
+                parameters,
+                torch.split(merged, [parameter.numel() for parameter in parameters]),
+                strict=True,
+            ):
                 assert parameter.grad is not None
                 parameter.grad += part.view_as(parameter)
         self.actor_optimiser.step()
 
     @torch.no_grad()
     def _update_targets(self) -> None:
-        """Eq. (5) as DDPG has it: θ' ← τ θ + (1 - τ) θ'; running moments of batch normalisation are copied."""
+        """Eq. (5) as DDPG has it: θ' ← τ θ + (1 - τ) θ'.
+
+        Running moments of batch normalisation are copied.
+        """
         torch._foreach_lerp_(self._targets, self._online, self.config.tau)
         for target, moment in self._moments:
             target.copy_(moment)
 
     def state(self) -> dict[str, Tensor]:
-        """Everything the next update depends on or reports, by name; tensors are the learner's own, not copies."""
+        """Everything the next update depends on or reports, by name.
+
+        Tensors are the learner's own, not copies.
+        """
         tensors = {"updates": torch.tensor(self.updates), "generator": self.generator.get_state()}
         tensors |= {f"last.{index}": value for index, value in enumerate(self._last)}
         for name in NETWORKS:
-            tensors |= {f"{name}.{key}": value for key, value in getattr(self, name).state_dict().items()}
+            tensors |= {
+                f"{name}.{key}": value for key, value in getattr(self, name).state_dict().items()
+            }
         for name in OPTIMISERS:
             for index, slots in getattr(self, name).state_dict()["state"].items():
                 tensors |= {f"{name}.{index}.{key}": value for key, value in slots.items()}
@@ -209,7 +297,8 @@ class Learner:
         """Continue from a `state()`.
 
         Raises:
-            SpecError: if a network's tensor is missing or has another shape: the state is of another layout or network.
+            SpecError: if a network's tensor is missing or has another shape: the state is of
+                another layout or network.
         """
         for name in NETWORKS:
             module, found = getattr(self, name), under(f"{name}.", tensors)
@@ -225,8 +314,12 @@ class Learner:
             for key, value in under(f"{name}.", tensors).items():
                 index, _, slot = key.partition(".")
                 slots.setdefault(int(index), {})[slot] = value
-            optimiser.load_state_dict({"state": slots, "param_groups": optimiser.state_dict()["param_groups"]})
-        value, behaviour, saturation = (tensors[f"last.{index}"].to(self.device) for index in range(3))
+            optimiser.load_state_dict(
+                {"state": slots, "param_groups": optimiser.state_dict()["param_groups"]}
+            )
+        value, behaviour, saturation = (
+            tensors[f"last.{index}"].to(self.device) for index in range(3)
+        )
         self._last = (value, behaviour, saturation)
         self.updates = int(tensors["updates"])
         self.generator.set_state(tensors["generator"].cpu())

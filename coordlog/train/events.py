@@ -1,4 +1,7 @@
-"""Rows of metrics as TensorBoard event files; needs the package tensorboard, which nothing else here does."""
+"""Rows of metrics as TensorBoard event files.
+
+Needs the package tensorboard, which nothing else here does.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +28,15 @@ def require_tensorboard() -> None:
     try:
         import torch.utils.tensorboard  # noqa: F401
     except ImportError as error:
-        raise ConfigError("--tensorboard: expected the package tensorboard, found none; pip install 'coordlog[tensorboard]'") from error
+        raise ConfigError(
+            "--tensorboard: expected the package tensorboard, found none; pip install 'coordlog[tensorboard]'"
+        ) from error
 
 
 class EventFiles:
-    """One scalar per figure of a row, named "training/score", "evaluation/clean", …, over updates."""
+    """One scalar per figure of a row, named "training/score", "evaluation/clean", …, over
+    updates.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Write nothing yet.
@@ -54,17 +61,26 @@ class EventFiles:
                     writer.add_scalar(f"{row['kind']}/{name}", value, update)
             writer.flush()
         except OSError as error:
-            raise StorageError(f"{self._folder}: event files cannot be written: {error.strerror}") from error
+            raise StorageError(
+                f"{self._folder}: event files cannot be written: {error.strerror}"
+            ) from error
 
     def __enter__(self) -> EventFiles:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._writer is not None:
             self._writer.close()
 
     def _opened(self, update: int) -> SummaryWriter:
-        """The writer. What an interrupted run wrote from this update on is taken again, and so no longer shown."""
+        """The writer. What an interrupted run wrote from this update on is taken again, and so no
+        longer shown.
+        """
         if self._writer is None:
             from torch.utils.tensorboard import SummaryWriter
 

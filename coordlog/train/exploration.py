@@ -1,4 +1,6 @@
-"""Exploration: a policy whose actions are disturbed, and the disturbance's memory from step to step."""
+"""Exploration: a policy whose actions are disturbed, and the disturbance's memory from step to
+step.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from coordlog.episode import Array, Json
-from coordlog.train.checkpoint import generator_from_json, generator_to_json
+from coordlog.policies.checkpoint import generator_from_json, generator_to_json
 
 
 class Noise:
-    """Normal noise of deviation 1 per lane and action, x ← ρ x + √(1 - ρ²) ξ; one generator for all lanes."""
+    """Normal noise of deviation 1 per lane and action, x ← ρ x + √(1 - ρ²) ξ.
+
+    One generator for all lanes.
+    """
 
     def __init__(self, lanes: int, n_u: int, *, correlation: float, seed: list[int]) -> None:
         """Start in the stationary distribution."""
@@ -35,10 +40,14 @@ class Noise:
 
 
 class Exploring:
-    """a = clip(μ(s) + σ x, -1, 1) for the states of all lanes, to be executed and logged as it is (Algorithm 1)."""
+    """a = clip(μ(s) + σ x, -1, 1) for the states of all lanes, to be executed and logged as it is
+    (Algorithm 1).
+    """
 
     def __init__(self, policy: Callable[[Array], Array], noise: Noise, *, deviation: float) -> None:
-        """Disturb a policy by noise of this standard deviation, in units of the action range [-1, 1]."""
+        """Disturb a policy by noise of this standard deviation, in units of the action range [-1,
+        1].
+        """
         self.policy, self.deviation, self._noise = policy, np.float32(deviation), noise
 
     def __call__(self, state: Array) -> Array:

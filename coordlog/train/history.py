@@ -1,4 +1,6 @@
-"""What runs have measured, as curves: one per run, and their mean and deviation over the runs that differ in nothing but the seed."""
+"""What runs have measured, as curves: one per run, and their mean and deviation over the runs that
+differ in nothing but the seed.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +51,20 @@ class History:
     """metrics.jsonl."""
 
     def line(self, name: str, *, kind: Kind, against: Against) -> Line:
-        """A figure of merit; intervals in which no episode ended have none. Empty where there is nothing."""
-        rows = [row for row in self.rows if row["kind"] == kind and row.get("episodes") and row.get(name) is not None]
+        """A figure of merit; intervals in which no episode ended have none.
+
+        Empty where there is nothing.
+        """
+        rows = [
+            row
+            for row in self.rows
+            if row["kind"] == kind and row.get("episodes") and row.get(name) is not None
+        ]
         x = np.array([self._place(row, against) for row in rows], dtype=np.float64)
         y = np.array([row[name] for row in rows], dtype=np.float64)
-        last = len(x) - 1 - np.unique(x[::-1], return_index=True)[1]  # of rows at one place, the latest
+        last = (
+            len(x) - 1 - np.unique(x[::-1], return_index=True)[1]
+        )  # of rows at one place, the latest
         return Line(x[last], y[last])
 
     @property
@@ -68,7 +79,11 @@ class History:
             return float(row["episodes_total"])
         counted = [other for other in self.rows if "episodes_total" in other]
         places = [float(other["update"]) for other in counted]
-        return float(np.interp(row["update"], places, [other["episodes_total"] for other in counted])) if counted else 0.0
+        return (
+            float(np.interp(row["update"], places, [other["episodes_total"] for other in counted]))
+            if counted
+            else 0.0
+        )
 
 
 def load_history(folder: Path) -> History:
@@ -82,7 +97,9 @@ def load_history(folder: Path) -> History:
     said = recall(folder)
     missing = [key for key in NEEDED if key not in said]
     if missing:
-        raise ConfigError(f"{folder / RUN}: expected what a run was about, {', '.join(missing)} missing; is it of another program?")
+        raise ConfigError(
+            f"{folder / RUN}: expected what a run was about, {', '.join(missing)} missing; is it of another program?"
+        )
     return History(folder, said, read_metrics(folder / "metrics.jsonl"))
 
 
@@ -97,7 +114,9 @@ def band(lines: Sequence[Line]) -> Band:
 
 
 def grouped(histories: Sequence[History]) -> dict[str, list[History]]:
-    """Runs of one scene that differ in nothing but the seed, by a label that says what sets them apart from the other groups."""
+    """Runs of one scene that differ in nothing but the seed, by a label that says what sets them
+    apart from the other groups.
+    """
     groups: dict[str, list[History]] = {}
     for history in histories:
         groups.setdefault(repr(sorted(_constants(history.said).items())), []).append(history)
@@ -111,7 +130,9 @@ def grouped(histories: Sequence[History]) -> dict[str, list[History]]:
     return labels
 
 
-def _differences(own: Mapping[str, object], all_of_them: Sequence[Mapping[str, object]]) -> list[str]:
+def _differences(
+    own: Mapping[str, object], all_of_them: Sequence[Mapping[str, object]]
+) -> list[str]:
     keys = [key for key in own if any(other.get(key) != own[key] for other in all_of_them)]
     shown = [f"{key} = {str(own[key])[:12]}" for key in keys[:DIFFERENCES]]
     return [*shown, "…"] if len(keys) > DIFFERENCES else shown
@@ -121,6 +142,14 @@ def _constants(said: Json) -> dict[str, object]:
     """Everything but the seed that the outcome of a run depends on, flat."""
     env = said.get("env", {})
     sections = {**said["settings"], "env": env.get("config", {}), "reward": env.get("reward", {})}
-    flat = {f"{name}.{key}": value for name, section in sections.items() for key, value in section.items()}
+    flat = {
+        f"{name}.{key}": value
+        for name, section in sections.items()
+        for key, value in section.items()
+    }
     flat.pop("loop.seed", None)
-    return {"mode": said["mode"], **flat, **{key: said[key] for key in ("envs", "where", "data") if said.get(key)}}
+    return {
+        "mode": said["mode"],
+        **flat,
+        **{key: said[key] for key in ("envs", "where", "data") if said.get(key)},
+    }

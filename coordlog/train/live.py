@@ -1,7 +1,8 @@
-"""Live simulations as a source of transitions. They run in `rollout`, like everything; an environment that records, records them.
+"""Live simulations as a source of transitions. They run in `rollout`, like everything; an
+environment that records, records them.
 
-What a resumed run needs of the simulations is remembered as what was asked of them: each episode under way is an index and its actions
-so far, and doing the same again gives the same bits.
+What a resumed run needs of the simulations is remembered as what was asked of them: each episode
+under way is an index and its actions so far, and doing the same again gives the same bits.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from itertools import count
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.rollout import Env, rollout
-from coordlog.scoring import Score, Scoreboard, figures
+from coordlog.sim.rollout import Env, rollout
+from coordlog.sim.scoring import Score, Scoreboard, figures
 from coordlog.sim.simulation import Outcome
 from coordlog.train.buffer import Block
 
@@ -22,7 +23,10 @@ FLAGS = 6
 
 
 class _Actor:
-    """The policy of the moment, as `rollout` wants one; remembers what it was asked and what it answered."""
+    """The policy of the moment, as `rollout` wants one.
+
+    Remembers what it was asked and what it answered.
+    """
 
     def __init__(self, lanes: int) -> None:
         self.choose: Callable[[Array], Array] | None = None
@@ -79,15 +83,21 @@ class Simulations:
         return {"episodes_total": float(self._ended), **figures(fresh)}
 
     def state(self) -> dict[str, Array]:
-        """Episodes under way as indices and actions so far, and the scores that no summary has told of."""
+        """Episodes under way as indices and actions so far, and the scores that no summary has told
+        of.
+        """
         flat = [action for actions in self._actions for action in actions]
         fresh = self._board.scores
         return {
             "episode": self._actor.episode.copy(),
             "length": np.array([len(actions) for actions in self._actions]),
-            "action": np.stack(flat) if flat else np.zeros((0, 0), np.float32),  # none where every episode has just ended
+            "action": np.stack(flat)
+            if flat
+            else np.zeros((0, 0), np.float32),  # none where every episode has just ended
             "ended": np.array([self._ended]),
-            "scores": np.array([_to_row(score) for score in fresh], dtype=np.float64).reshape(len(fresh), FLAGS + 2 * self._k),
+            "scores": np.array([_to_row(score) for score in fresh], dtype=np.float64).reshape(
+                len(fresh), FLAGS + 2 * self._k
+            ),
         }
 
     def load_state(self, arrays: Mapping[str, Array]) -> None:
@@ -95,22 +105,34 @@ class Simulations:
         if (arrays["episode"] < 0).any():  # it was taken before the first step
             return
         lanes = np.flatnonzero(arrays["length"] > 0)
-        problems = [self._env.problem(seed=self._seed, split="train", index=int(index)) for index in arrays["episode"][lanes]]
+        problems = [
+            self._env.problem(seed=self._seed, split="train", index=int(index))
+            for index in arrays["episode"][lanes]
+        ]
         if len(lanes):
             self._env.reset(lanes, problems)
         ends = np.cumsum(arrays["length"])
-        self._actions = [list(arrays["action"][end - length : end]) for end, length in zip(ends, arrays["length"], strict=True)]
+        self._actions = [
+            list(arrays["action"][end - length : end])
+            for end, length in zip(ends, arrays["length"], strict=True)
+        ]
         self._board = Scoreboard(self.lanes, self._k)
         for step in range(int(arrays["length"].max())):
             ids = np.flatnonzero(arrays["length"] > step)
-            self._board.add(ids, self._env.step(np.stack([self._actions[lane][step] for lane in ids]), ids))
+            self._board.add(
+                ids, self._env.step(np.stack([self._actions[lane][step] for lane in ids]), ids)
+            )
         self._ended = int(arrays["ended"][0])
         self._board.scores = [_from_row(row, self._k) for row in arrays["scores"]]
         self._actor.skip_to(arrays["episode"])
-        self._loop = self._start(running=lanes)  # the other lanes had ended their episode; they start their next one, as they would have
+        self._loop = self._start(
+            running=lanes
+        )  # the other lanes had ended their episode; they start their next one, as they would have
 
     def _start(self, *, running: Array | None) -> Iterator[tuple[Array, Outcome]]:
-        return rollout(self._env, self._actor, count(self._actor.started), seed=self._seed, running=running)
+        return rollout(
+            self._env, self._actor, count(self._actor.started), seed=self._seed, running=running
+        )
 
     def _step(self) -> tuple[Array, ...]:
         """One step of all lanes, as a row of each column of a Block."""
@@ -120,13 +142,21 @@ class Simulations:
         step = np.array([len(actions) for actions in self._actions])
         next_state, lost = self._env.state.copy(), outcome.diverged
         if lost.any():  # the state after it is no number: learnt from as a fall on the spot
-            next_state[lost], distance = actor.state[lost], np.where(lost[:, None], self._farthest, distance)
+            next_state[lost], distance = (
+                actor.state[lost],
+                np.where(lost[:, None], self._farthest, distance),
+            )
         self._board.add(ids, outcome)
         over = outcome.terminated | outcome.truncated | lost
         for lane in ids:
             self._actions[lane] = [] if over[lane] else [*self._actions[lane], actor.action[lane]]
         near = outcome.boundary & ~lost[:, None], outcome.goal & ~lost[:, None]
-        flags = (*near, outcome.collision & ~lost, outcome.instability | lost, outcome.terminated | lost)
+        flags = (
+            *near,
+            outcome.collision & ~lost,
+            outcome.instability | lost,
+            outcome.terminated | lost,
+        )
         return (actor.state, actor.action, next_state, distance, *flags, episode, step)
 
 
@@ -137,5 +167,17 @@ def _to_row(score: Score) -> list[float]:
 
 def _from_row(row: Array, k: int) -> Score:
     length, success, clean, collided, fell, diverged = row[:FLAGS]
-    distance, arrival = tuple(row[FLAGS : FLAGS + k].tolist()), tuple(int(step) for step in row[FLAGS + k :])
-    return Score(int(length), bool(success), bool(clean), bool(collided), bool(fell), distance, arrival, bool(diverged))
+    distance, arrival = (
+        tuple(row[FLAGS : FLAGS + k].tolist()),
+        tuple(int(step) for step in row[FLAGS + k :]),
+    )
+    return Score(
+        int(length),
+        bool(success),
+        bool(clean),
+        bool(collided),
+        bool(fell),
+        distance,
+        arrival,
+        bool(diverged),
+    )

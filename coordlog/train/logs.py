@@ -1,4 +1,7 @@
-"""Logged transitions as columns, and as a store that batches are drawn from. Nothing here is ever written to."""
+"""Logged transitions as columns, and as a store that batches are drawn from.
+
+Nothing here is ever written to.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,23 @@ from coordlog.errors import SpecError
 from coordlog.train.relabel import RewardFunction, draw_later
 
 CHUNK = 65_536
-STEP_COLUMNS = ("state", "action", "distance", "boundary", "goal", "collision", "instability", "terminated")
+STEP_COLUMNS = (
+    "state",
+    "action",
+    "distance",
+    "boundary",
+    "goal",
+    "collision",
+    "instability",
+    "terminated",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """N transitions of E episodes, one after the other, and the E states in which the episodes ended."""
+    """N transitions of E episodes, one after the other, and the E states in which the episodes
+    ended.
+    """
 
     state: Array  # (N, n_x) float32, before each action
     action: Array  # (N, n_u) float32
@@ -38,18 +52,23 @@ class Columns:
         """
         n, episodes = int(np.sum(self.length)), len(self.length)
         if n == 0 or np.min(self.length) < 1:
-            raise SpecError(f"logs: expected episodes of at least one step, got {episodes} episodes of {n} steps in all")
+            raise SpecError(
+                f"logs: expected episodes of at least one step, got {episodes} episodes of {n} steps in all"
+            )
         for name in (*STEP_COLUMNS, "final"):
             rows, wanted = len(getattr(self, name)), episodes if name == "final" else n
             if rows != wanted:
-                raise SpecError(f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, got {rows}")
+                raise SpecError(
+                    f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, got {rows}"
+                )
         for name in ("state", "action", "final"):
             if getattr(self, name).dtype != np.float32:
                 raise SpecError(f"{name}: expected float32, got {getattr(self, name).dtype}")
 
     @classmethod
     def from_tables(cls, steps: pa.Table, finals: pa.Table) -> Columns:
-        """Columns over the memory of Arrow tables, copied only where a column lies in several chunks or is a bit per value.
+        """Columns over the memory of Arrow tables, copied only where a column lies in several
+        chunks or is a bit per value.
 
         Args:
             steps: One row per step with the columns of `spec.STEP`, episode by episode.
@@ -61,16 +80,24 @@ class Columns:
         for table, names in ((steps, STEP_COLUMNS), (finals, ("state", "length"))):
             missing = [name for name in names if name not in table.column_names]
             if missing:
-                raise SpecError(f"logs: expected columns {', '.join(names)}, {', '.join(missing)} missing")
+                raise SpecError(
+                    f"logs: expected columns {', '.join(names)}, {', '.join(missing)} missing"
+                )
         columns = {name: _array(steps.column(name)) for name in STEP_COLUMNS}
-        return cls(**columns, final=_array(finals.column("state")), length=_array(finals.column("length")))
+        return cls(
+            **columns, final=_array(finals.column("state")), length=_array(finals.column("length"))
+        )
 
 
 class LogReplay:
-    """Transitions of logs. States and actions stay where they are, memory-mapped or not; the next state is the next row."""
+    """Transitions of logs.
+
+    States and actions stay where they are, memory-mapped or not; the next state is the next row.
+    """
 
     def __init__(self, columns: Columns, reward: RewardFunction) -> None:
-        """Compute the rewards from the logged distances and flags; whatever constants the logs were made with do not matter.
+        """Compute the rewards from the logged distances and flags; whatever constants the logs were
+        made with do not matter.
 
         Args:
             columns: The logs.
@@ -82,11 +109,20 @@ class LogReplay:
         length = np.asarray(columns.length, dtype=np.int64)
         self._episode = np.repeat(np.arange(len(length), dtype=np.int32), length)
         self._last = np.cumsum(length) - 1  # row of each episode's last step
-        self._mishaps = np.cumsum(self._columns["collision"] | self._columns["instability"], dtype=np.int32)
+        self._mishaps = np.cumsum(
+            self._columns["collision"] | self._columns["instability"], dtype=np.int32
+        )
         self._reward = self._columns["reward"] = np.empty(columns.distance.shape, np.float32)
-        for start in range(0, len(self), CHUNK):  # so that a memory-mapped column is never read as a whole
+        for start in range(
+            0, len(self), CHUNK
+        ):  # so that a memory-mapped column is never read as a whole
             part = slice(start, start + CHUNK)
-            flags = (columns.boundary[part], columns.goal[part], columns.collision[part], columns.instability[part])
+            flags = (
+                columns.boundary[part],
+                columns.goal[part],
+                columns.collision[part],
+                columns.instability[part],
+            )
             self._reward[part] = reward(columns.distance[part], *flags)
 
     def __len__(self) -> int:
@@ -104,7 +140,10 @@ class LogReplay:
         return rng.integers(len(self), size=size)
 
     def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
-        """Rows of the n steps from each row on, and which of them are of its episode; the others repeat the last that is."""
+        """Rows of the n steps from each row on, and which of them are of its episode.
+
+        The others repeat the last that is.
+        """
         if n == 1:
             return rows[:, None], np.ones((len(rows), 1), np.bool_)
         wanted = rows[:, None] + np.arange(n)

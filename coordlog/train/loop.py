@@ -1,8 +1,10 @@
-"""The training loop: updates from logs, from live steps, or from both; metrics, evaluations, checkpoints, exact resume.
+"""The training loop: updates from logs, from live steps, or from both; metrics, evaluations,
+checkpoints, exact resume.
 
-Live, the loop is a pipeline of two stages. While the updates on blocks ≤ n run, block n + 1 is simulated on another thread with the
-actor as it was before those updates; then the two meet. Nothing depends on which stage is faster, so running them one after the
-other gives the same bits. Between two rounds nothing is under way: that is when metrics, evaluations and checkpoints happen.
+Live, the loop is a pipeline of two stages. While the updates on blocks ≤ n run, block n + 1 is
+simulated on another thread with the actor as it was before those updates; then the two meet.
+Nothing depends on which stage is faster, so running them one after the other gives the same bits.
+Between two rounds nothing is under way: that is when metrics, evaluations and checkpoints happen.
 """
 
 from __future__ import annotations
@@ -17,15 +19,21 @@ import torch
 
 from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.policies.checkpoint import (
+    generator_from_json,
+    generator_to_json,
+    load_arrays,
+    save_arrays,
+    under,
+)
+from coordlog.policies.learned import Policy
 from coordlog.train.buffer import Block, ReplayBuffer
-from coordlog.train.checkpoint import generator_from_json, generator_to_json, load_arrays, save_arrays, under
 from coordlog.train.digrad import Learner
 from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
 from coordlog.train.networks import Actor
-from coordlog.train.policy import Policy
 from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
 from coordlog.train.settings import Settings, refuse_changes
@@ -37,7 +45,9 @@ ROUND = 50
 
 
 class Trainer:
-    """One run in one folder: `metrics.jsonl`, `checkpoint.safetensors` and `buffer/`, `policy.safetensors`, `best.safetensors`."""
+    """One run in one folder: `metrics.jsonl`, `checkpoint.safetensors` and `buffer/`,
+    `policy.safetensors`, `best.safetensors`.
+    """
 
     def __init__(
         self,
@@ -64,7 +74,8 @@ class Trainer:
             device: Where the networks live.
 
         Raises:
-            ConfigError: if there is nothing to train from, or the settings do not fit what there is.
+            ConfigError: if there is nothing to train from, or the settings do not fit what there
+                is.
             SpecError: if logs and task differ in layout.
         """
         self.task, self.settings, self.folder, self.source = task, settings, folder, source
@@ -72,27 +83,51 @@ class Trainer:
         loop, replay = settings.loop, settings.replay
         _require_device(device)
         if source is not None and loop.steps == 0:
-            raise ConfigError("loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone")
+            raise ConfigError(
+                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone"
+            )
         if source is None and loop.updates == 0:
-            raise ConfigError("loop.updates: expected a budget of updates, got 0; only live steps can earn them")
+            raise ConfigError(
+                "loop.updates: expected a budget of updates, got 0; only live steps can earn them"
+            )
         if logs is None and loop.pretrain > 0:
-            raise ConfigError(f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none")
+            raise ConfigError(
+                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none"
+            )
         store = None if logs is None else LogReplay(logs, task.reward)
         if store is not None and store.widths != task.widths:
-            raise SpecError(f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state")
+            raise SpecError(
+                f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state"
+            )
         self.log_transitions = 0 if store is None else len(store)
-        self.buffer = None if source is None else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
-        self.replay = MixedReplay(replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device)
-        bounds = value_bounds(task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest)
+        self.buffer = (
+            None
+            if source is None
+            else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
+        )
+        self.replay = MixedReplay(
+            replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device
+        )
+        bounds = value_bounds(
+            task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest
+        )
         mask = gradient_mask(task.arms, task.n_u)
         self.learner = Learner(
-            task.n_x, mask, network=settings.network, config=settings.learner, bounds=bounds, seed=loop.seed, device=device
+            task.n_x,
+            mask,
+            network=settings.network,
+            config=settings.learner,
+            bounds=bounds,
+            seed=loop.seed,
+            device=device,
         )
         self.steps, self.best = 0, dict[str, float]()
         self._evaluated = -1  # updates at the last evaluation
         self._rng = np.random.default_rng([loop.seed, 0])
         lanes = 0 if source is None else source.lanes
-        self._noise = Noise(lanes, task.n_u, correlation=settings.noise.correlation, seed=[loop.seed, 1])
+        self._noise = Noise(
+            lanes, task.n_u, correlation=settings.noise.correlation, seed=[loop.seed, 1]
+        )
         self._tally, self._watch = Tally(tuple(task.arms), device=device), Watch(bounds)
         self._elapsed, self._mark = 0.0, (0.0, 0, 0)
 
@@ -103,24 +138,34 @@ class Trainer:
 
     @property
     def progress(self) -> float:
-        """Share of the run that is over, counted in updates or in live steps, whichever is further on."""
+        """Share of the run that is over, counted in updates or in live steps, whichever is further
+        on.
+        """
         live = self.steps / self.settings.loop.steps if self.source is not None else 0.0
         return min(1.0, max(live, self.updates / max(1, self._earned(self.settings.loop.steps))))
 
     def run(self, *, resume: bool = False) -> Outcome:
-        """Train until a budget is used up, the run diverges, or it is asked to stop; with `resume`, from the folder's checkpoint.
+        """Train until a budget is used up, the run diverges, or it is asked to stop; with `resume`,
+        from the folder's checkpoint.
 
         Raises:
-            StorageError: if the folder already holds a run and is not to be resumed, holds none but is, or cannot be written to.
+            StorageError: if the folder already holds a run and is not to be resumed, holds none but
+                is, or cannot be written to.
             ConfigError: if the checkpoint was made with other settings.
         """
-        torch.set_num_threads(1)  # the other cores simulate; and sums are then ordered alike on every machine
+        torch.set_num_threads(
+            1
+        )  # the other cores simulate; and sums are then ordered alike on every machine
         checkpoint = self.folder / "checkpoint.safetensors"
         if resume:
             self._load(checkpoint)
         elif checkpoint.exists():
-            raise StorageError(f"{self.folder} already holds a run; resume it or choose another folder")
-        self._log = MetricsLog(self.folder / "metrics.jsonl", resume_at=self.updates if resume else None)
+            raise StorageError(
+                f"{self.folder} already holds a run; resume it or choose another folder"
+            )
+        self._log = MetricsLog(
+            self.folder / "metrics.jsonl", resume_at=self.updates if resume else None
+        )
         self._began = time.perf_counter() - self._elapsed
         self._mark = (self._elapsed, self.updates, self.steps)
         with ThreadPoolExecutor(max_workers=1) as pool:
@@ -141,11 +186,18 @@ class Trainer:
 
     def policy(self) -> Policy:
         """What the run has learnt so far, as a function and file of its own."""
-        return self._policy(self.learner.target_actor if self.settings.loop.averaged else self.learner.actor)
+        return self._policy(
+            self.learner.target_actor if self.settings.loop.averaged else self.learner.actor
+        )
 
     def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network
-        said = {"activation": network.activation, "norm": network.actor_norm, "updates": self.updates, "steps": self.steps}
+        said = {
+            "activation": network.activation,
+            "norm": network.actor_norm,
+            "updates": self.updates,
+            "steps": self.steps,
+        }
         return Policy(actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
 
     def _collects(self) -> bool:
@@ -159,11 +211,15 @@ class Trainer:
         loop = self.settings.loop
         if self.source is None:
             return loop.updates
-        earned = loop.pretrain + int(loop.updates_per_step * max(0, steps - self.settings.replay.warmup))
+        earned = loop.pretrain + int(
+            loop.updates_per_step * max(0, steps - self.settings.replay.warmup)
+        )
         return min(earned, loop.updates) if loop.updates > 0 else earned
 
     def _owed(self) -> int:
-        """Updates of the next round: all that live steps have earned, or a few at a time without them."""
+        """Updates of the next round: all that live steps have earned, or a few at a time without
+        them.
+        """
         loop, owed = self.settings.loop, self._earned(self.steps) - self.updates
         if self._collects():
             return owed
@@ -177,8 +233,15 @@ class Trainer:
             return
         assert self.source is not None
         assert self.buffer is not None
-        policy = Exploring(self._policy(self.learner.actor), self._noise, deviation=self.settings.noise.at(self.progress))
-        length = min(self.settings.loop.block, -(-(self.settings.loop.steps - self.steps) // self.source.lanes))
+        policy = Exploring(
+            self._policy(self.learner.actor),
+            self._noise,
+            deviation=self.settings.noise.at(self.progress),
+        )
+        length = min(
+            self.settings.loop.block,
+            -(-(self.settings.loop.steps - self.steps) // self.source.lanes),
+        )
         if self.settings.loop.overlap:
             under_way = pool.submit(self.source.collect, length, policy)
             self._update(count)
@@ -194,7 +257,11 @@ class Trainer:
             self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
             weight = self.settings.behaviour.at(self.progress)
             self._tally.add(
-                self.learner.update(self.replay.sample(self._rng), behaviour_weight=weight, effort=self.settings.behaviour.effort)
+                self.learner.update(
+                    self.replay.sample(self._rng),
+                    behaviour_weight=weight,
+                    effort=self.settings.behaviour.effort,
+                )
             )
 
     def _pause(self, before: int) -> Event | None:
@@ -217,18 +284,31 @@ class Trainer:
         averages = self._tally.row()
         self._tally.clear()
         elapsed = time.perf_counter() - self._began
-        seconds, updates, steps = (now - then for now, then in zip((elapsed, self.updates, self.steps), self._mark, strict=True))
+        seconds, updates, steps = (
+            now - then
+            for now, then in zip((elapsed, self.updates, self.steps), self._mark, strict=True)
+        )
         self._mark = (elapsed, self.updates, self.steps)
-        row: Row = {"bound_low": self._watch.bounds[0], "bound_high": self._watch.bounds[1], **averages}
+        row: Row = {
+            "bound_low": self._watch.bounds[0],
+            "bound_high": self._watch.bounds[1],
+            **averages,
+        }
         row |= {"behaviour_weight": self.settings.behaviour.at(self.progress)}
         if self.source is not None:
             row |= {"noise": self.settings.noise.at(self.progress), **self.source.summary()}
-        row |= {"seconds": elapsed, "updates_per_second": updates / seconds, "steps_per_second": steps / seconds}
+        row |= {
+            "seconds": elapsed,
+            "updates_per_second": updates / seconds,
+            "steps_per_second": steps / seconds,
+        }
         self._write("training", row)
         return self._watch.check(averages)
 
     def _evaluate(self) -> None:
-        """Evaluate the actor, if there is a way to, and keep its policy file if it is the best so far."""
+        """Evaluate the actor, if there is a way to, and keep its policy file if it is the best so
+        far.
+        """
         if self.hooks.evaluate is None:
             return
         self._evaluated = self.updates
@@ -236,7 +316,9 @@ class Trainer:
         found = self.hooks.evaluate(policy, self.updates)
         self._write("evaluation", dict(found))
         figures = {name: value for name, value in found.items() if not isinstance(value, str)}
-        if not self.best or [figures[name] for name in self.hooks.rank] > [self.best[name] for name in self.hooks.rank]:
+        if not self.best or [figures[name] for name in self.hooks.rank] > [
+            self.best[name] for name in self.hooks.rank
+        ]:
             self.best = figures
             policy.save(self.folder / "best.safetensors")
 
@@ -246,7 +328,9 @@ class Trainer:
         if self.hooks.on_row is not None:
             self.hooks.on_row(row)
 
-    def _end(self, ending: Literal["finished", "stopped", "diverged"], event: Event | None = None) -> Outcome:
+    def _end(
+        self, ending: Literal["finished", "stopped", "diverged"], event: Event | None = None
+    ) -> Outcome:
         """Save the run; a diverged one beside its last good checkpoint, for a post-mortem."""
         if event is not None:
             self._write("event", {"name": event.name, "advice": event.advice})
@@ -254,8 +338,13 @@ class Trainer:
         return Outcome(ending, self.updates, self.steps, self.best or None, event)
 
     def _save(self, name: str) -> None:
-        """Write buffer, then checkpoint, then policy: whichever write is cut off, the folder holds a run that can be resumed."""
-        arrays: dict[str, Array] = {f"learner.{key}": value.detach().cpu().numpy() for key, value in self.learner.state().items()}
+        """Write buffer, then checkpoint, then policy: whichever write is cut off, the folder holds
+        a run that can be resumed.
+        """
+        arrays: dict[str, Array] = {
+            f"learner.{key}": value.detach().cpu().numpy()
+            for key, value in self.learner.state().items()
+        }
         arrays |= {f"tally.{key}": value for key, value in self._tally.state().items()}
         noise, values = self._noise.state()
         arrays |= {f"noise.{key}": value for key, value in values.items()}
@@ -285,8 +374,12 @@ class Trainer:
         arrays, meta = load_arrays(path, kind=KIND)
         refuse_changes(self.settings, meta["settings"])
         if meta["log_transitions"] != self.log_transitions:
-            raise ConfigError(f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}")
-        self.learner.load_state({key: torch.from_numpy(value) for key, value in under("learner.", arrays).items()})
+            raise ConfigError(
+                f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}"
+            )
+        self.learner.load_state(
+            {key: torch.from_numpy(value) for key, value in under("learner.", arrays).items()}
+        )
         self._tally.load_state(under("tally.", arrays))
         if self.source is not None and self.buffer is not None:
             self.source.load_state(under("source.", arrays))

@@ -1,4 +1,6 @@
-"""What a run says about itself: averages over an interval, rows of a JSON-lines file, and the event of a divergence."""
+"""What a run says about itself: averages over an interval, rows of a JSON-lines file, and the event
+of a divergence.
+"""
 
 from __future__ import annotations
 
@@ -23,25 +25,45 @@ TIMING = ("seconds", "updates_per_second", "steps_per_second")
 
 
 class Tally:
-    """Means and extremes over the updates of an interval; nothing is read from the device until the row is."""
+    """Means and extremes over the updates of an interval.
+
+    Nothing is read from the device until the row is.
+    """
 
     def __init__(self, arms: tuple[str, ...], *, device: str = "cpu") -> None:
         """Start an interval for arms of these names."""
         self._device = torch.device(device)
-        self._names = ("critic_loss", *(f"q_{arm}" for arm in arms), *(f"value_{arm}" for arm in arms), "behaviour", "saturation")
+        self._names = (
+            "critic_loss",
+            *(f"q_{arm}" for arm in arms),
+            *(f"value_{arm}" for arm in arms),
+            "behaviour",
+            "saturation",
+        )
         self.clear()
 
     def clear(self) -> None:
         """Start another interval."""
         self.count = 0
         self._sum = torch.zeros(len(self._names), device=self._device)
-        self._low, self._high = (torch.tensor(limit, device=self._device) for limit in (math.inf, -math.inf))
+        self._low, self._high = (
+            torch.tensor(limit, device=self._device) for limit in (math.inf, -math.inf)
+        )
 
     def add(self, update: Update) -> None:
         """Count one update."""
-        scalars = (update.critic_loss[None], update.q, update.actor_value, update.behaviour[None], update.saturation[None])
+        scalars = (
+            update.critic_loss[None],
+            update.q,
+            update.actor_value,
+            update.behaviour[None],
+            update.saturation[None],
+        )
         self._sum += torch.cat(scalars)
-        self._low, self._high = torch.minimum(self._low, update.q_low), torch.maximum(self._high, update.q_high)
+        self._low, self._high = (
+            torch.minimum(self._low, update.q_low),
+            torch.maximum(self._high, update.q_high),
+        )
         self.count += 1
 
     @property
@@ -50,20 +72,32 @@ class Tally:
         return bool(torch.isfinite(self._sum).all())
 
     def row(self) -> Row:
-        """Means by name, and the least and greatest Q, in units of the unscaled return; empty without updates."""
+        """Means by name, and the least and greatest Q, in units of the unscaled return.
+
+        Empty without updates.
+        """
         if self.count == 0:
             return {}
         means = (self._sum / self.count).tolist()
-        return {**dict(zip(self._names, means, strict=True)), "q_low": self._low.item(), "q_high": self._high.item()}
+        return {
+            **dict(zip(self._names, means, strict=True)),
+            "q_low": self._low.item(),
+            "q_high": self._high.item(),
+        }
 
     def state(self) -> dict[str, Array]:
         """The interval so far."""
         tensors = {"sum": self._sum, "low": self._low, "high": self._high}
-        return {"count": np.array(self.count), **{name: tensor.cpu().numpy() for name, tensor in tensors.items()}}
+        return {
+            "count": np.array(self.count),
+            **{name: tensor.cpu().numpy() for name, tensor in tensors.items()},
+        }
 
     def load_state(self, arrays: Mapping[str, Array]) -> None:
         """Continue an interval."""
-        self._sum, self._low, self._high = (torch.tensor(arrays[name], device=self._device) for name in ("sum", "low", "high"))
+        self._sum, self._low, self._high = (
+            torch.tensor(arrays[name], device=self._device) for name in ("sum", "low", "high")
+        )
         self.count = int(arrays["count"])
 
 
@@ -84,9 +118,11 @@ class Watch:
     bounds: tuple[float, float]
     """Least and greatest return any policy can have."""
     slack: float = 1.0
-    """Q may leave the bounds by this share of their distance: a network overshoots a little without diverging."""
+    """Q may leave the bounds by this share of their distance: a network overshoots a little without
+    diverging."""
     saturation: float = 0.95
-    """More than this share of action entries at their limits is a saturated actor: its gradient through tanh is gone."""
+    """More than this share of action entries at their limits is a saturated actor: its gradient
+    through tanh is gone."""
 
     def check(self, row: Mapping[str, object]) -> Event | None:
         """The first thing that is wrong with a row of a `Tally`, if any."""
@@ -94,33 +130,45 @@ class Watch:
         broken = sorted(name for name, value in values.items() if not math.isfinite(value))
         if broken:
             return Event(
-                "not_finite", f"{', '.join(broken)} not finite; lower the learning rates, and check the logs for wild states with `check`"
+                "not_finite",
+                f"{', '.join(broken)} not finite; lower the learning rates, and check the logs for wild states with `check`",
             )
         low, high = self.bounds
         room = self.slack * (high - low)
         if values.get("q_low", low) < low - room or values.get("q_high", high) > high + room:
             seen = f"Q spans [{values['q_low']:.4g}, {values['q_high']:.4g}] but no return lies outside [{low:.4g}, {high:.4g}]"
             return Event(
-                "q_out_of_bounds", f"{seen}; set learner.clip_targets = true, use critic_norm = 'layer', or lower learner.critic_rate"
+                "q_out_of_bounds",
+                f"{seen}; set learner.clip_targets = true, use critic_norm = 'layer', or lower learner.critic_rate",
             )
         if values.get("saturation", 0.0) > self.saturation:
             seen = f"{values['saturation']:.0%} of the actions are at their limits"
-            return Event("saturated", f"{seen}; lower learner.actor_rate, raise behaviour.weight, or check how the state is scaled")
+            return Event(
+                "saturated",
+                f"{seen}; lower learner.actor_rate, raise behaviour.weight, or check how the state is scaled",
+            )
         return None
 
 
 class MetricsLog:
-    """One JSON object per line, each appended by a single write, so that a crash costs at most the last line."""
+    """One JSON object per line, each appended by a single write, so that a crash costs at most the
+    last line.
+    """
 
     def __init__(self, path: Path, *, resume_at: int | None = None) -> None:
-        """Start a file, or go on with one after dropping every row later than update `resume_at` and a torn last line.
+        """Start a file, or go on with one after dropping every row later than update `resume_at`
+        and a torn last line.
 
         Raises:
             StorageError: if the file system refuses.
             FormatError: if a line before the last is not a row.
         """
         self.path = path
-        kept = b"" if resume_at is None else b"".join(line for line, row in _rows(path) if int(row["update"]) <= resume_at)
+        kept = (
+            b""
+            if resume_at is None
+            else b"".join(line for line, row in _rows(path) if int(row["update"]) <= resume_at)
+        )
         part = path.with_name(path.name + ".part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +183,10 @@ class MetricsLog:
         Raises:
             StorageError: if the file system refuses.
         """
-        finite = {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in row.items()}
+        finite = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in row.items()
+        }
         line = json.dumps(finite, allow_nan=False) + "\n"
         try:
             with self.path.open("ab", buffering=0) as file:

@@ -1,8 +1,9 @@
 """Actor μ(s) and critic Q(s, a) with one head per task.
 
-All members of an ensemble of critics are evaluated as one batched product: parameters carry a leading member axis E,
-activations are (E, B, width). Whether dropout and batch statistics are on is an argument of each call, because one update
-needs both: off in targets and in the critic of the actor's step, on in the network that is being updated.
+All members of an ensemble of critics are evaluated as one batched product: parameters carry a
+leading member axis E, activations are (E, B, width). Whether dropout and batch statistics are on is
+an argument of each call, because one update needs both: off in targets and in the critic of the
+actor's step, on in the network that is being updated.
 """
 
 from __future__ import annotations
@@ -23,23 +24,39 @@ NORM_EPSILON = 1e-5
 
 
 class Dense(nn.Module):
-    """E affine maps (E, B, n_in) → (E, B, n_out), each followed by a normalisation over its units or over the batch.
+    """E affine maps (E, B, n_in) → (E, B, n_out), each followed by a normalisation over its units
+    or over the batch.
 
-    A layer normalisation has no gain and shift of its own: the bias before it and the weights after it do their work in less
-    time. A batch normalisation cancels the bias before it, so it has both.
+    A layer normalisation has no gain and shift of its own: the bias before it and the weights after
+    it do their work in less time. A batch normalisation cancels the bias before it, so it has both.
     """
 
     ones: Tensor
     mean: Tensor
     variance: Tensor
 
-    def __init__(self, n_in: int, n_out: int, *, members: int, norm: Norm, bound: float, generator: torch.Generator) -> None:
+    def __init__(
+        self,
+        n_in: int,
+        n_out: int,
+        *,
+        members: int,
+        norm: Norm,
+        bound: float,
+        generator: torch.Generator,
+    ) -> None:
         super().__init__()
         self.members, self.norm = members, norm
-        self.weight = nn.Parameter(torch.empty(members, n_in, n_out).uniform_(-bound, bound, generator=generator))
-        self.bias = nn.Parameter(torch.empty(members, 1, n_out).uniform_(-bound, bound, generator=generator))
+        self.weight = nn.Parameter(
+            torch.empty(members, n_in, n_out).uniform_(-bound, bound, generator=generator)
+        )
+        self.bias = nn.Parameter(
+            torch.empty(members, 1, n_out).uniform_(-bound, bound, generator=generator)
+        )
         if norm == "layer":
-            self.register_buffer("ones", torch.ones(n_out), persistent=False)  # torch is slower without than with a gain of one
+            self.register_buffer(
+                "ones", torch.ones(n_out), persistent=False
+            )  # torch is slower without than with a gain of one
         if norm == "batch":
             self.gain = nn.Parameter(torch.ones(members, 1, n_out))
             self.shift = nn.Parameter(torch.zeros(members, 1, n_out))
@@ -48,24 +65,39 @@ class Dense(nn.Module):
 
     def forward(self, x: Tensor, *, training: bool, count: int) -> Tensor:
         """The first `count` members' outputs."""
-        whole = count == self.members  # a slice of everything would still cost a backward pass of its own
-        weight, bias = (self.weight, self.bias) if whole else (self.weight[:count], self.bias[:count])
+        whole = (
+            count == self.members
+        )  # a slice of everything would still cost a backward pass of its own
+        weight, bias = (
+            (self.weight, self.bias) if whole else (self.weight[:count], self.bias[:count])
+        )
         h = torch.baddbmm(bias, x, weight)
         if self.norm == "layer":
             return F.layer_norm(h, h.shape[-1:], self.ones, eps=NORM_EPSILON)
         if self.norm == "batch":
-            return torch.addcmul(self.shift[:count], self._standardised(h, training=training, count=count), self.gain[:count])
+            return torch.addcmul(
+                self.shift[:count],
+                self._standardised(h, training=training, count=count),
+                self.gain[:count],
+            )
         return h
 
     def _standardised(self, h: Tensor, *, training: bool, count: int) -> Tensor:
-        """Each unit over the batch; in training the running moments move towards those of the batch."""
+        """Each unit over the batch.
+
+        In training the running moments move towards those of the batch.
+        """
         flat = h.transpose(0, 1).reshape(h.shape[1], -1)  # (B, count * n_out)
         mean, variance = self.mean[:count].view(-1), self.variance[:count].view(-1)
-        flat = F.batch_norm(flat, mean, variance, training=training, momentum=BATCH_NORM_MOMENTUM, eps=NORM_EPSILON)
+        flat = F.batch_norm(
+            flat, mean, variance, training=training, momentum=BATCH_NORM_MOMENTUM, eps=NORM_EPSILON
+        )
         return flat.view(h.shape[1], count, -1).transpose(0, 1)
 
     def folded(self) -> tuple[Tensor, Tensor]:
-        """Weight (n_in, n_out) and bias (n_out,) of the first member, a batch normalisation multiplied in."""
+        """Weight (n_in, n_out) and bias (n_out,) of the first member, a batch normalisation
+        multiplied in.
+        """
         weight, bias = self.weight[0], self.bias[0, 0]
         if self.norm != "batch":
             return weight, bias
@@ -74,7 +106,9 @@ class Dense(nn.Module):
 
 
 class Shape(NamedTuple):
-    """Widths around the hidden layers: inputs, inputs that join at the second hidden layer, outputs, members."""
+    """Widths around the hidden layers: inputs, inputs that join at the second hidden layer,
+    outputs, members.
+    """
 
     n_in: int
     n_late: int
@@ -83,19 +117,44 @@ class Shape(NamedTuple):
 
 
 class Mlp(nn.Module):
-    """E multilayer perceptrons of one shape: dense, normalise, activate, drop out; a linear output layer."""
+    """E multilayer perceptrons of one shape: dense, normalise, activate, drop out.
 
-    def __init__(self, shape: Shape, norms: tuple[Norm, ...], *, config: NetworkConfig, generator: torch.Generator) -> None:
+    A linear output layer.
+    """
+
+    def __init__(
+        self,
+        shape: Shape,
+        norms: tuple[Norm, ...],
+        *,
+        config: NetworkConfig,
+        generator: torch.Generator,
+    ) -> None:
         super().__init__()
-        self.members, self.crelu, self.dropout = shape.members, config.activation == "crelu", config.dropout
+        self.members, self.crelu, self.dropout = (
+            shape.members,
+            config.activation == "crelu",
+            config.dropout,
+        )
         self.layers = nn.ModuleList()
         width = shape.n_in
         for index, (units, norm) in enumerate(zip(config.hidden, norms, strict=True)):
             width += shape.n_late if index == 1 else 0
             bound = 1 / math.sqrt(width)
-            self.layers.append(Dense(width, units, members=shape.members, norm=norm, bound=bound, generator=generator))
+            self.layers.append(
+                Dense(
+                    width, units, members=shape.members, norm=norm, bound=bound, generator=generator
+                )
+            )
             width = units * (1 + self.crelu)
-        self.output = Dense(width, shape.n_out, members=shape.members, norm="none", bound=config.final_init, generator=generator)
+        self.output = Dense(
+            width,
+            shape.n_out,
+            members=shape.members,
+            norm="none",
+            bound=config.final_init,
+            generator=generator,
+        )
 
     def forward(
         self,
@@ -106,7 +165,9 @@ class Mlp(nn.Module):
         generator: torch.Generator | None = None,
         count: int | None = None,
     ) -> Tensor:
-        """Outputs (count, B, n_out) of the first `count` members (all by default) for inputs (B, n_in) and late inputs (B, n_late)."""
+        """Outputs (count, B, n_out) of the first `count` members (all by default) for inputs (B,
+        n_in) and late inputs (B, n_late).
+        """
         count = self.members if count is None else count
         h = x.expand(count, *x.shape)
         for index, layer in enumerate(self.layers):
@@ -115,15 +176,17 @@ class Mlp(nn.Module):
             h = layer(h, training=training, count=count)
             h = torch.cat((F.relu(h), F.relu(-h)), dim=-1) if self.crelu else F.relu_(h)
             if training and self.dropout > 0:
-                h = h * torch.empty_like(h).bernoulli_(1 - self.dropout, generator=generator).div_(1 - self.dropout)
+                h = h * torch.empty_like(h).bernoulli_(1 - self.dropout, generator=generator).div_(
+                    1 - self.dropout
+                )
         return self.output(h, training=training, count=count)  # type: ignore[no-any-return]
 
 
 def hidden_norms(norm: Norm, layers: int, *, free: int) -> tuple[Norm, ...]:
     """The normalisation of each hidden layer.
 
-    "layer" is on all but the first, which would otherwise lose how far away a goal is and keep only in which direction; "batch" is on
-    the first `free` ones.
+    "layer" is on all but the first, which would otherwise lose how far away a goal is and keep only
+    in which direction; "batch" is on the first `free` ones.
     """
     having = range(1, layers) if norm == "layer" else range(free)
     return tuple(norm if index in having else "none" for index in range(layers))
@@ -132,40 +195,65 @@ def hidden_norms(norm: Norm, layers: int, *, free: int) -> tuple[Norm, ...]:
 class Actor(nn.Module):
     """The compound policy μ: states (B, n_x) to actions (B, n_u) in [-1, 1]."""
 
-    def __init__(self, n_x: int, n_u: int, *, config: NetworkConfig, generator: torch.Generator) -> None:
+    def __init__(
+        self, n_x: int, n_u: int, *, config: NetworkConfig, generator: torch.Generator
+    ) -> None:
         super().__init__()
         norms = hidden_norms(config.actor_norm, len(config.hidden), free=len(config.hidden))
         self.mlp = Mlp(Shape(n_x, 0, n_u, 1), norms, config=config, generator=generator)
 
-    def forward(self, state: Tensor, *, training: bool = False, generator: torch.Generator | None = None) -> Tensor:
+    def forward(
+        self, state: Tensor, *, training: bool = False, generator: torch.Generator | None = None
+    ) -> Tensor:
         """Actions; dropout and batch statistics only in training."""
         return torch.tanh(self.mlp(state, training=training, generator=generator)[0])
 
     def arrays(self) -> dict[str, Array]:
-        """Weights and biases that acting needs, float32 copies, batch normalisation folded in (see policy.py)."""
+        """Weights and biases that acting needs, float32 copies, batch normalisation folded in (see
+        policy.py).
+        """
         named: dict[str, Array] = {}
         with torch.no_grad():
             for index, layer in enumerate((*self.mlp.layers, self.mlp.output)):
                 assert isinstance(layer, Dense)
                 for name, tensor in zip(("weight", "bias"), layer.folded(), strict=True):
-                    named[f"{name}.{index}"] = np.array(tensor.cpu().numpy(), dtype=np.float32, order="C")
+                    named[f"{name}.{index}"] = np.array(
+                        tensor.cpu().numpy(), dtype=np.float32, order="C"
+                    )
         return named
 
 
 class Critic(nn.Module):
-    """Q: states and full actions to one value per task and member, (E, B, k). Head i sees every joint: r_i depends on all of them."""
+    """Q: states and full actions to one value per task and member, (E, B, k).
 
-    def __init__(self, n_x: int, n_u: int, k: int, *, config: NetworkConfig, generator: torch.Generator) -> None:
+    Head i sees every joint: r_i depends on all of them.
+    """
+
+    def __init__(
+        self, n_x: int, n_u: int, k: int, *, config: NetworkConfig, generator: torch.Generator
+    ) -> None:
         super().__init__()
         self.late = config.action_layer == 2
         norms = hidden_norms(config.critic_norm, len(config.hidden), free=config.action_layer - 1)
-        shape = Shape(n_x, n_u, k, config.critics) if self.late else Shape(n_x + n_u, 0, k, config.critics)
+        shape = (
+            Shape(n_x, n_u, k, config.critics)
+            if self.late
+            else Shape(n_x + n_u, 0, k, config.critics)
+        )
         self.mlp = Mlp(shape, norms, config=config, generator=generator)
 
     def forward(
-        self, state: Tensor, action: Tensor, *, training: bool = False, generator: torch.Generator | None = None, count: int | None = None
+        self,
+        state: Tensor,
+        action: Tensor,
+        *,
+        training: bool = False,
+        generator: torch.Generator | None = None,
+        count: int | None = None,
     ) -> Tensor:
         """Values of the first `count` members (all by default), (count, B, k)."""
         if self.late:
             return self.mlp(state, action, training=training, generator=generator, count=count)  # type: ignore[no-any-return]
-        return self.mlp(torch.cat((state, action), dim=-1), training=training, generator=generator, count=count)  # type: ignore[no-any-return]
+        return self.mlp(
+            torch.cat((state, action), dim=-1), training=training, generator=generator, count=count
+        )  # type: ignore[no-any-return]

@@ -1,8 +1,10 @@
-"""Rewards, flags and endings recomputed from what was logged: for other reward constants, and for goals in hindsight.
+"""Rewards, flags and endings recomputed from what was logged: for other reward constants, and for
+goals in hindsight.
 
-A goal that was reached later in an episode is a goal the actions before it led to, so a transition may be learnt from as if that
-had been asked for (Andrychowicz et al. 2017). Everything that depends on goals is then recomputed, `terminated` too; collision and
-instability do not depend on goals and stay as logged. Valid because the object to be grasped is not an obstacle.
+A goal that was reached later in an episode is a goal the actions before it led to, so a transition
+may be learnt from as if that had been asked for (Andrychowicz et al. 2017). Everything that depends
+on goals is then recomputed, `terminated` too; collision and instability do not depend on goals and
+stay as logged. Valid because the object to be grasped is not an obstacle.
 """
 
 from __future__ import annotations
@@ -21,10 +23,16 @@ AXES = 3
 
 
 class RewardFunction(Protocol):
-    """The paper's reward with its constants bound: one value per arm from distances, flags per arm, and flags of all arms."""
+    """The paper's reward with its constants bound: one value per arm from distances, flags per arm,
+    and flags of all arms.
+    """
 
-    def __call__(self, distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array) -> Array:
-        """Rewards (n, k) from (n, k) distances [m], boundary and goal flags, and (n,) collision and instability."""
+    def __call__(
+        self, distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array
+    ) -> Array:
+        """Rewards (n, k) from (n, k) distances [m], boundary and goal flags, and (n,) collision and
+        instability.
+        """
         ...
 
 
@@ -32,7 +40,8 @@ class RewardFunction(Protocol):
 class GoalView:
     """Where palms and goals stand in a state, in what scale, and when a palm has arrived.
 
-    Entry = (metres - offset) / scale. Palms, goals and differences are k points of three coordinates each, arm by arm.
+    Entry = (metres - offset) / scale. Palms, goals and differences are k points of three
+    coordinates each, arm by arm.
     """
 
     palms: slice
@@ -52,9 +61,15 @@ class GoalView:
         Raises:
             SpecError: if they are not, or the width is not a whole number of points.
         """
-        widths = {place.stop - place.start for place in (self.palms, self.goals, self.difference) if place is not None}
+        widths = {
+            place.stop - place.start
+            for place in (self.palms, self.goals, self.difference)
+            if place is not None
+        }
         if len(widths) != 1 or min(widths) % AXES or min(widths) == 0:
-            raise SpecError(f"goal view: expected palms, goals and difference of one width, {AXES} per arm; got widths {sorted(widths)}")
+            raise SpecError(
+                f"goal view: expected palms, goals and difference of one width, {AXES} per arm; got widths {sorted(widths)}"
+            )
 
     @property
     def k(self) -> int:
@@ -82,17 +97,29 @@ class Outcome(NamedTuple):
 
 
 def set_goals(view: GoalView, state: Array, goals: Array) -> None:
-    """Ask for other goals (n, k, 3) [m] in states (n, n_x), in place: goals, and differences to the palms if there are any."""
+    """Ask for other goals (n, k, 3) [m] in states (n, n_x), in place: goals, and differences to the
+    palms if there are any.
+    """
     view.write(state, view.goals, goals)
     if view.difference is not None:
         view.write(state, view.difference, goals - view.points(state, view.palms))
 
 
-def outcome(view: GoalView, reward: RewardFunction, *, palms: Array, goals: Array, collision: Array, instability: Array) -> Outcome:
-    """Distances, flags, rewards and endings of n transitions that brought the palms (n, k, 3) there, for goals (n, k, 3).
+def outcome(
+    view: GoalView,
+    reward: RewardFunction,
+    *,
+    palms: Array,
+    goals: Array,
+    collision: Array,
+    instability: Array,
+) -> Outcome:
+    """Distances, flags, rewards and endings of n transitions that brought the palms (n, k, 3)
+    there, for goals (n, k, 3).
 
-    κ overrides the rewards where every goal holds without collision or instability (the reward function's rule), and an episode ends on
-    instability or when every goal holds (Algorithm 1), so `terminated` is recomputed with the goals.
+    κ overrides the rewards where every goal holds without collision or instability (the reward
+    function's rule), and an episode ends on instability or when every goal holds (Algorithm 1), so
+    `terminated` is recomputed with the goals.
     """
     distance = np.linalg.norm(goals - palms, axis=-1)
     boundary, goal = distance < view.boundary_radius, distance < view.goal_radius
@@ -101,7 +128,8 @@ def outcome(view: GoalView, reward: RewardFunction, *, palms: Array, goals: Arra
 
 
 def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int = 0) -> Array:
-    """For each index, one drawn uniformly from itself to the last of its episode (the "future" strategy). All (n,) integers.
+    """For each index, one drawn uniformly from itself to the last of its episode (the "future"
+    strategy). All (n,) integers.
 
     With a horizon, at most that many indices are drawn from; 0 for all of them.
     """
@@ -112,7 +140,8 @@ def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int =
 
 
 def reorder(rng: np.random.Generator, count: int, places: Sequence[slice], *states: Array) -> None:
-    """List the spheres of each row in an order of chance, in place, the same in all of these states (n, n_x).
+    """List the spheres of each row in an order of chance, in place, the same in all of these states
+    (n, n_x).
 
     Args:
         rng: Chance.
@@ -120,18 +149,23 @@ def reorder(rng: np.random.Generator, count: int, places: Sequence[slice], *stat
         places: Parts of a state that tell of one sphere after the other.
         states: The states.
     """
-    order = rng.permuted(np.broadcast_to(np.arange(count), (len(states[0]), count)), axis=1)[:, :, None]
+    order = rng.permuted(np.broadcast_to(np.arange(count), (len(states[0]), count)), axis=1)[
+        :, :, None
+    ]
     for state in states:
         for place in places:
             each = state[:, place].reshape(len(state), count, -1)
             state[:, place] = np.take_along_axis(each, order, axis=1).reshape(len(state), -1)
 
 
-def value_bounds(reward: RewardFunction, *, k: int, gamma: float, farthest: float) -> tuple[float, float]:
+def value_bounds(
+    reward: RewardFunction, *, k: int, gamma: float, farthest: float
+) -> tuple[float, float]:
     """Least and greatest discounted return any policy can have.
 
-    A return is a mixture of r/(1 - γ) for rewards that go on and of one reward that ends the episode, so its extremes are at one
-    or the other. They are found by asking for the reward of every combination of flags at no distance and at the farthest.
+    A return is a mixture of r/(1 - γ) for rewards that go on and of one reward that ends the
+    episode, so its extremes are at one or the other. They are found by asking for the reward of
+    every combination of flags at no distance and at the farthest.
 
     Args:
         reward: The reward.

@@ -1,4 +1,6 @@
-"""Batches of tensors drawn from logs, from live steps, or from both, some of them with goals in hindsight."""
+"""Batches of tensors drawn from logs, from live steps, or from both, some of them with goals in
+hindsight.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class Arrays(NamedTuple):
     def empty(cls, size: int, widths: tuple[int, int, int]) -> Arrays:
         """Room for `size` transitions of widths n_x, n_u and k."""
         n_x, n_u, k = widths
-        return cls(*(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1, 1, n_u)))
+        return cls(
+            *(np.empty((size, width), np.float32) for width in (n_x, n_u, k, n_x, 1, 1, n_u))
+        )
 
     def rows(self, part: slice) -> Arrays:
         """Views of some of the rows."""
@@ -55,7 +59,9 @@ class Store(Protocol):
         ...
 
     def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
-        """A column ("state", "action", "reward", "collision", "instability", "terminated") at some rows of any shape."""
+        """A column ("state", "action", "reward", "collision", "instability", "terminated") at some
+        rows of any shape.
+        """
         ...
 
     def next_state(self, rows: Array, out: Array | None = None) -> Array:
@@ -63,15 +69,21 @@ class Store(Protocol):
         ...
 
     def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
-        """Rows of the n steps from each row on, (size, n), and which of them are of its episode; the others repeat the last that is."""
+        """Rows of the n steps from each row on, (size, n), and which of them are of its episode;
+        the others repeat the last that is.
+        """
         ...
 
     def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
-        """A row drawn uniformly from each row to the last stored one of its episode, or up to a horizon, and the steps it takes, (n,)."""
+        """A row drawn uniformly from each row to the last stored one of its episode, or up to a
+        horizon, and the steps it takes, (n,).
+        """
         ...
 
     def clean(self, rows: Array, horizon: int) -> Array:
-        """Whether nothing went wrong from each row to the last stored one of its episode, or up to a horizon, (n,) bool."""
+        """Whether nothing went wrong from each row to the last stored one of its episode, or up to
+        a horizon, (n,) bool.
+        """
         ...
 
 
@@ -97,7 +109,9 @@ class Horizon(NamedTuple):
 def transitions(store: Store, rows: Array, out: Arrays, horizon: Horizon) -> None:
     """Write transitions over n steps as they were; `imitated` and `wanted` are left alone."""
     index, within = horizon.of(store, rows)
-    found = n_step(store.take("reward", index), store.take("terminated", index), within, gamma=horizon.gamma)
+    found = n_step(
+        store.take("reward", index), store.take("terminated", index), within, gamma=horizon.gamma
+    )
     store.take("state", rows, out.state)
     store.take("action", rows, out.action)
     _lead(store, index, found, out)
@@ -112,17 +126,26 @@ class Asked(NamedTuple):
 
 
 def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, horizon: Horizon) -> None:
-    """Write transitions over n steps as if other goals had been asked for; `imitated` and `wanted` are left alone.
+    """Write transitions over n steps as if other goals had been asked for; `imitated` and `wanted`
+    are left alone.
 
-    Goals, differences, rewards and endings are those of the new goals; collision and instability are as stored.
+    Goals, differences, rewards and endings are those of the new goals; collision and instability
+    are as stored.
     """
     goals, view, reward = asked
     index, within = horizon.of(store, rows)
     every = index.ravel()
     palms = view.points(store.next_state(every), view.palms)
     mishaps = {name: store.take(name, every) for name in ("collision", "instability")}
-    result = outcome(view, reward, palms=palms, goals=np.repeat(goals, horizon.n, axis=0), **mishaps)
-    found = n_step(result.reward.reshape(*index.shape, -1), result.terminated.reshape(index.shape), within, gamma=horizon.gamma)
+    result = outcome(
+        view, reward, palms=palms, goals=np.repeat(goals, horizon.n, axis=0), **mishaps
+    )
+    found = n_step(
+        result.reward.reshape(*index.shape, -1),
+        result.terminated.reshape(index.shape),
+        within,
+        gamma=horizon.gamma,
+    )
     store.take("state", rows, out.state)
     store.take("action", rows, out.action)
     _lead(store, index, found, out)
@@ -131,7 +154,8 @@ def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, horizon: 
 
 
 def moved(motion: Motion, state: Array, reached: Array, steps: Array) -> Array:
-    """The steady action whose motion leads from states to states some steps later, (B, n_u): what was done without its detours.
+    """The steady action whose motion leads from states to states some steps later, (B, n_u): what
+    was done without its detours.
 
     Pushing against a stop moves nothing, and so is not imitated.
     """
@@ -141,11 +165,16 @@ def moved(motion: Motion, state: Array, reached: Array, steps: Array) -> Array:
 
 def _lead(store: Store, index: Array, found: Return, out: Arrays) -> None:
     out.reward[:], out.discount[:, 0] = found.reward, found.discount
-    store.next_state(index[np.arange(len(index)), found.last] if index.shape[1] > 1 else index[:, 0], out.next_state)
+    store.next_state(
+        index[np.arange(len(index)), found.last] if index.shape[1] > 1 else index[:, 0],
+        out.next_state,
+    )
 
 
 class MixedReplay:
-    """Half logs that are never evicted, half live steps (Ball et al. 2023, RLPD), or all of whichever there is."""
+    """Half logs that are never evicted, half live steps (Ball et al. 2023, RLPD), or all of
+    whichever there is.
+    """
 
     def __init__(
         self,
@@ -164,11 +193,13 @@ class MixedReplay:
             task: The reward, and where goals and spheres stand in a state.
             gamma: Discount per step.
             logs: Immutable transitions; the behaviour term applies to these.
-            live: Transitions of the run itself; it applies to those in hindsight, times `config.imitation`.
+            live: Transitions of the run itself; it applies to those in hindsight, times
+                `config.imitation`.
             device: Where batches go.
 
         Raises:
-            ConfigError: if there is no store, the stores differ in layout, or the task has no goals for hindsight.
+            ConfigError: if there is no store, the stores differ in layout, or the task has no goals
+                for hindsight.
         """
         stores = [store for store in (logs, live) if store is not None]
         if not stores:
@@ -179,20 +210,48 @@ class MixedReplay:
             )
         for name, store in (("hindsight", live), ("log_hindsight", logs)):
             if store is not None and getattr(config, name) > 0 and task.view is None:
-                raise ConfigError(f"replay.{name}: expected to know where goals stand in the state; set it to 0 for this task")
-        self._config, self._task, self._horizon = config, task, Horizon(config.n_step, gamma, config.cut)
-        self._logs, self._live, self._device, self._widths = logs, live, torch.device(device), stores[0].widths
+                raise ConfigError(
+                    f"replay.{name}: expected to know where goals stand in the state; set it to 0 for this task"
+                )
+        self._config, self._task, self._horizon = (
+            config,
+            task,
+            Horizon(config.n_step, gamma, config.cut),
+        )
+        self._logs, self._live, self._device, self._widths = (
+            logs,
+            live,
+            torch.device(device),
+            stores[0].widths,
+        )
 
     def sample(self, rng: np.random.Generator) -> Batch:
-        """A batch: log transitions first, then live ones; in each part, those with goals in hindsight first."""
+        """A batch: log transitions first, then live ones.
+
+        In each part, those with goals in hindsight first.
+        """
         size, logged = self._config.batch, self._logged()
         out = Arrays.empty(size, self._widths)
         if self._logs is not None and logged > 0:
-            self._fill(rng, self._logs, out.rows(slice(0, logged)), share=self._config.log_hindsight, far=0.0, imitation=(1.0, 1.0))
+            self._fill(
+                rng,
+                self._logs,
+                out.rows(slice(0, logged)),
+                share=self._config.log_hindsight,
+                far=0.0,
+                imitation=(1.0, 1.0),
+            )
         if self._live is not None and logged < size:
             live = out.rows(slice(logged, size))
             config = self._config
-            self._fill(rng, self._live, live, share=config.hindsight, far=config.far, imitation=(config.imitation, 0.0))
+            self._fill(
+                rng,
+                self._live,
+                live,
+                share=config.hindsight,
+                far=config.far,
+                imitation=(config.imitation, 0.0),
+            )
         if self._config.reorder and self._task.spheres:
             reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
@@ -206,10 +265,17 @@ class MixedReplay:
         return round(self._config.log_fraction * self._config.batch)
 
     def _fill(
-        self, rng: np.random.Generator, store: Store, out: Arrays, *, share: float, far: float, imitation: tuple[float, float]
+        self,
+        rng: np.random.Generator,
+        store: Store,
+        out: Arrays,
+        *,
+        share: float,
+        far: float,
+        imitation: tuple[float, float],
     ) -> None:
-        """A part of a batch, a share of it in hindsight, and of that a share `far`; `imitation` weighs the behaviour term in hindsight and
-        as it was, where nothing went wrong soon after.
+        """A part of a batch, a share of it in hindsight, and of that a share `far`; `imitation`
+        weighs the behaviour term in hindsight and as it was, where nothing went wrong soon after.
         """  # noqa: D205 - one sentence
         config = self._config
         rows = store.draw(rng, len(out.state))
@@ -222,9 +288,16 @@ class MixedReplay:
             if distant > 0:
                 then[:distant], steps[:distant] = store.later(rng, rows[:distant], 0)
             reached = store.next_state(then)
-            part, asked = out.rows(slice(0, count)), Asked(view.points(reached, view.palms), view, self._task.reward)
+            part, asked = (
+                out.rows(slice(0, count)),
+                Asked(view.points(reached, view.palms), view, self._task.reward),
+            )
             in_hindsight(store, rows[:count], part, asked, self._horizon)
-            part.wanted[:] = part.action if self._task.motion is None else moved(self._task.motion, part.state, reached, steps)
+            part.wanted[:] = (
+                part.action
+                if self._task.motion is None
+                else moved(self._task.motion, part.state, reached, steps)
+            )
         if count < len(rows):
             part = out.rows(slice(count, None))
             transitions(store, rows[count:], part, self._horizon)

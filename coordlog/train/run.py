@@ -4,8 +4,8 @@ run.json                 settings, environment, versions, git revision, evaluati
 data.lock                sha256 and name of every logged episode that is learnt from, one per line
 metrics.jsonl            a row per interval and per evaluation
 checkpoint.safetensors   everything a resumed run needs, with buffer/
-policy.safetensors       the policy as of the last checkpoint; best.safetensors: the best one evaluated
-episodes/                every live and every evaluation episode
+policy.safetensors       the policy as of the last checkpoint; best.safetensors: the best one
+evaluated episodes/                every live and every evaluation episode
 tensorboard/             event files, if asked for
 """
 
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError
-from coordlog.sim.config import EnvConfig, to_mapping
+from coordlog.tasks.config import EnvConfig, to_mapping
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK = "run.json", "data.lock"
@@ -41,8 +41,13 @@ def begin(folder: Path, said: Json, *, data: Sequence[tuple[str, str]]) -> None:
     require_new(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / LOCK).write_text("".join(f"{digest}  {name}\n" for digest, name in data), encoding="utf-8")
-        (folder / RUN).write_text(json.dumps({**said, "versions": versions(), "git": revision()}, indent=1) + "\n", encoding="utf-8")
+        (folder / LOCK).write_text(
+            "".join(f"{digest}  {name}\n" for digest, name in data), encoding="utf-8"
+        )
+        (folder / RUN).write_text(
+            json.dumps({**said, "versions": versions(), "git": revision()}, indent=1) + "\n",
+            encoding="utf-8",
+        )
     except OSError as error:
         raise StorageError(f"{folder}: cannot begin a run: {error.strerror}") from error
 
@@ -54,7 +59,9 @@ def require_new(folder: Path) -> None:
         StorageError: if it does.
     """
     if (folder / RUN).exists():
-        raise StorageError(f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder")
+        raise StorageError(
+            f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder"
+        )
 
 
 def recall(folder: Path) -> Json:
@@ -67,7 +74,9 @@ def recall(folder: Path) -> Json:
     try:
         said: Json = json.loads((folder / RUN).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise StorageError(f"{folder}: holds no run: expected a folder with {RUN}, found none") from None
+        raise StorageError(
+            f"{folder}: holds no run: expected a folder with {RUN}, found none"
+        ) from None
     except OSError as error:
         raise StorageError(f"{folder / RUN}: cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -90,7 +99,9 @@ def require_same(before: Json, now: Json, *, folder: Path) -> None:
         if before.get(key) != now.get(key):
             name, *values = _difference(key, before.get(key), now.get(key))
             was, now_is = (repr(value)[:60] for value in values)
-            raise ConfigError(f"{folder}: resume with the run's own options: its {name} was {was} and is now {now_is}")
+            raise ConfigError(
+                f"{folder}: resume with the run's own options: its {name} was {was} and is now {now_is}"
+            )
 
 
 def _difference(name: str, before: object, now: object) -> tuple[str, object, object]:
@@ -114,11 +125,18 @@ def versions() -> dict[str, str]:
 
 
 def revision() -> str:
-    """The git commit of the code, "+changes" if it has uncommitted ones; "" outside a repository."""
+    """The git commit of the code, "+changes" if it has uncommitted ones.
+
+    "" outside a repository.
+    """
     here = Path(__file__).parent
     try:
-        commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
-        dirty = subprocess.run(["git", "status", "--porcelain"], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=True
+        ).stdout.strip()
+        dirty = subprocess.run(
+            ["git", "status", "--porcelain"], cwd=here, capture_output=True, text=True, check=True
+        ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return ""
     return commit + ("+changes" if dirty else "")

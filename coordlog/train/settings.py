@@ -1,4 +1,5 @@
-"""All sections of a run as one `Settings`: from a preset, then the tables of a TOML file, then `section.key=value` overrides.
+"""All sections of a run as one `Settings`: from a preset, then the tables of a TOML file, then
+`section.key=value` overrides.
 
 An unknown preset, section or key is an error that lists the known ones.
 """
@@ -41,7 +42,10 @@ class Settings:
 
     def asdict(self) -> dict[str, dict[str, Any]]:
         """The settings as nested JSON-able dictionaries."""
-        return {name: {key: _plain(value) for key, value in section.items()} for name, section in asdict(self).items()}
+        return {
+            name: {key: _plain(value) for key, value in section.items()}
+            for name, section in asdict(self).items()
+        }
 
 
 PRESETS: dict[str, Settings] = {
@@ -52,14 +56,29 @@ PRESETS: dict[str, Settings] = {
         network=NetworkConfig(ascent="mean"),
         behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),
         noise=NoiseConfig(start=0.5, final=0.07, decay=0.5, correlation=0.7),
-        replay=ReplayConfig(batch=128, warmup=3_000, hindsight=0.7, horizon=8, far=0.3, n_step=3, cut=True),
-        loop=LoopConfig(updates=0, steps=130_000, updates_per_step=0.3, final_rate=0.3, evaluate_every=3_000, checkpoint_every=3_000),
+        replay=ReplayConfig(
+            batch=128, warmup=3_000, hindsight=0.7, horizon=8, far=0.3, n_step=3, cut=True
+        ),
+        loop=LoopConfig(
+            updates=0,
+            steps=130_000,
+            updates_per_step=0.3,
+            final_rate=0.3,
+            evaluate_every=3_000,
+            checkpoint_every=3_000,
+        ),
         train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
     ),
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
     "paper": Settings(
         network=NetworkConfig(
-            hidden=(700, 400), activation="crelu", actor_norm="batch", critic_norm="batch", dropout=0.2, critics=1, action_layer=2
+            hidden=(700, 400),
+            activation="crelu",
+            actor_norm="batch",
+            critic_norm="batch",
+            dropout=0.2,
+            critics=1,
+            action_layer=2,
         ),
         learner=LearnerConfig(
             gamma=0.99,
@@ -75,14 +94,25 @@ PRESETS: dict[str, Settings] = {
         ),
         behaviour=BehaviourConfig(weight=0.0, final=0.0, effort=0.0),
         noise=NoiseConfig(start=0.3, final=0.02, decay=0.6, correlation=0.0),
-        replay=ReplayConfig(batch=64, capacity=45_000, warmup=64, hindsight=0.0, imitation=0.0, n_step=1, reorder=False),
+        replay=ReplayConfig(
+            batch=64,
+            capacity=45_000,
+            warmup=64,
+            hindsight=0.0,
+            imitation=0.0,
+            n_step=1,
+            reorder=False,
+        ),
         loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, averaged=False),
     ),
 }
 
 AROUND: dict[str, dict[str, dict[str, Any]]] = {
     # 8 decisions a second, the command filter and the length of an episode the same in seconds as at 25.
-    "live": {"env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35}, "reward": {"n1": 5.0, "n2": 20.0}},
+    "live": {
+        "env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35},
+        "reward": {"n1": 5.0, "n2": 20.0},
+    },
 }
 """What a preset asks of the environment and its reward, where no logs say otherwise."""
 UNSAID: dict[tuple[str, str], object] = {
@@ -100,7 +130,9 @@ UNSAID: dict[tuple[str, str], object] = {
 
 
 def surroundings(preset: str) -> dict[str, dict[str, Any]]:
-    """What a preset asks of the environment, as the entries "config" and "reward" of a `coordlog.env` record."""
+    """What a preset asks of the environment, as the entries "config" and "reward" of a
+    `coordlog.env` record.
+    """
     around = AROUND.get(preset, {})
     return {"config": dict(around.get("env", {})), "reward": dict(around.get("reward", {}))}
 
@@ -120,7 +152,9 @@ def _convert(key: str, value: object, current: object) -> object:
     require(
         type(value) is type(current),
         key,
-        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[type(current)],
+        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[
+            type(current)
+        ],
         value,
     )
     return value
@@ -130,7 +164,8 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
     """Settings with the values of `tables` ({section: {key: value}}) in place of theirs.
 
     Raises:
-        ConfigError: for a section or key that does not exist (the message lists those that do), a wrong type or range.
+        ConfigError: for a section or key that does not exist (the message lists those that do), a
+            wrong type or range.
     """
     sections = {item.name: getattr(settings, item.name) for item in fields(settings)}
     for name, table in tables.items():
@@ -141,12 +176,18 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
         for key in table:
             if key not in known:
                 raise unknown("setting", f"{name}.{key}", (f"{name}.{choice}" for choice in known))
-        sections[name] = replace(sections[name], **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()})
+        sections[name] = replace(
+            sections[name],
+            **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()},
+        )
     return Settings(**sections)
 
 
 def parse_assignment(text: str) -> tuple[str, str, object]:
-    """Section, key and value of "section.key=value"; the value is read as TOML, and as plain text where that fails."""
+    """Section, key and value of "section.key=value".
+
+    The value is read as TOML, and as plain text where that fails.
+    """
     key, equals, value = text.partition("=")
     section, dot, name = key.strip().partition(".")
     require(bool(equals and dot and name), "--set", "section.key=value", text)
@@ -157,12 +198,17 @@ def parse_assignment(text: str) -> tuple[str, str, object]:
 
 
 def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]) -> None:
-    """Raise ConfigError unless a resumed run's settings are those it was saved with; its budget may be another."""
+    """Raise ConfigError unless a resumed run's settings are those it was saved with.
+
+    Its budget may be another.
+    """
     for section, values in settings.asdict().items():
         for key, value in values.items():
             before = saved.get(section, {}).get(key, UNSAID.get((section, key)))
             if before != value and (section, key) not in BUDGET:
-                raise ConfigError(f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings")
+                raise ConfigError(
+                    f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings"
+                )
 
 
 def load_settings(
@@ -172,7 +218,8 @@ def load_settings(
     tables: Mapping[str, Mapping[str, object]] | None = None,
     assignments: Sequence[str] = (),
 ) -> Settings:
-    """Settings of a preset, overridden by a TOML file, overridden by tables, overridden by assignments.
+    """Settings of a preset, overridden by a TOML file, overridden by tables, overridden by
+    assignments.
 
     Args:
         path: TOML file with one table per section, or None.

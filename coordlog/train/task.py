@@ -1,4 +1,6 @@
-"""What training is told from outside: the task, a source of live steps, and what to do at the end of an interval."""
+"""What training is told from outside: the task, a source of live steps, and what to do at the end
+of an interval.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,16 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 from coordlog.episode import Array
+from coordlog.policies.learned import Policy
 from coordlog.train.buffer import Block
 from coordlog.train.metrics import Event, Row
-from coordlog.train.policy import Policy
 from coordlog.train.relabel import GoalView, RewardFunction
 
 
 class Motion(NamedTuple):
-    """Joint angles in a state, one per action in the order of actions, and how far an action moves them."""
+    """Joint angles in a state, one per action in the order of actions, and how far an action moves
+    them.
+    """
 
     angles: slice
     stride: Array
@@ -30,7 +34,10 @@ class Task:
     n_u: int
     """Number of actions."""
     arms: Mapping[str, Sequence[int]]
-    """Action indices of each arm, shared ones in each of theirs; one critic head per arm, in this order."""
+    """Action indices of each arm, shared ones in each of theirs.
+
+    One critic head per arm, in this order.
+    """
     reward: RewardFunction
     """The paper's reward with its constants bound."""
     farthest: float
@@ -38,7 +45,10 @@ class Task:
     view: GoalView | None = None
     """Where palms and goals stand in the state; without it there are no goals in hindsight."""
     motion: Motion | None = None
-    """What an action does to the state's joint angles; without it, what was done is imitated as it was done."""
+    """What an action does to the state's joint angles.
+
+    Without it, what was done is imitated as it was done.
+    """
     spheres: int = 0
     """Number of spheres that the state tells of."""
     listed: Sequence[slice] = ()
@@ -51,14 +61,17 @@ class Task:
 
 
 class LiveSource(Protocol):
-    """Simulations that are stepped together. Their steps follow from their own state and the policy alone."""
+    """Simulations that are stepped together.
+
+    Their steps follow from their own state and the policy alone.
+    """
 
     lanes: int
     """Number of simulations."""
 
     def collect(self, steps: int, policy: Callable[[Array], Array]) -> Block:
-        """Step every simulation `steps` times with actions from the policy ((lanes, n_x) → (lanes, n_u)), starting episodes as
-        others end. Called from another thread, never twice at once.
+        """Step every simulation `steps` times with actions from the policy ((lanes, n_x) → (lanes,
+        n_u)), starting episodes as others end. Called from another thread, never twice at once.
         """  # noqa: D205 - one sentence
         ...
 

@@ -1,4 +1,6 @@
-"""Where to look from, so that robot, goals and hand paths are in the picture and nothing stands in front of them."""
+"""Where to look from, so that robot, goals and hand paths are in the picture and nothing stands in
+front of them.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.geometry import Geom
+from coordlog.kinematics.geometry import Geom
 from coordlog.view.show import Stage
 
 FRONT = np.array([0.80, -0.50, 0.33])
@@ -37,13 +39,17 @@ class Camera(NamedTuple):
 
 
 def camera(stages: Sequence[Stage]) -> Camera:
-    """Look at one show from the front right, at several from the front, and from above at a robot that moves in the plane."""
+    """Look at one show from the front right, at several from the front, and from above at a robot
+    that moves in the plane.
+    """
     points = np.concatenate([_seen(stage) + np.array([0.0, stage.offset, 0.0]) for stage in stages])
     return look_at(points, STRAIGHT if any(stage.offset for stage in stages) else FRONT)
 
 
 def look_at(points: Array, towards: Array = FRONT) -> Camera:
-    """Look at points (n, 3) along a direction (3,) that leads to the eye, as near as shows them all; from above if they lie flat."""
+    """Look at points (n, 3) along a direction (3,) that leads to the eye, as near as shows them
+    all; from above if they lie flat.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     size, target = high - low, (low + high) / 2
     towards = ABOVE if size[2] < FLAT * max(size[0], size[1]) else towards
@@ -57,12 +63,19 @@ def look_at(points: Array, towards: Array = FRONT) -> Camera:
 
 
 def hides(geom: Geom, stage: Stage, eye: Array) -> bool:
-    """Whether a box of the world stands between the eye and a goal, the top of the robot, or much of the hand paths."""
+    """Whether a box of the world stands between the eye and a goal, the top of the robot, or much
+    of the hand paths.
+    """
     if geom.kind != "box" or geom.place != "world":
         return False
-    robot = stage.motion.position[0, [each.index for each in stage.geometry.geoms if each.place == "robot"]]
+    robot = stage.motion.position[
+        0, [each.index for each in stage.geometry.geoms if each.place == "robot"]
+    ]
     top = robot[robot[:, 2].argmax()]
-    goals, palms = np.array(stage.episode.header.episode["goals"]), stage.motion.palms.reshape(-1, 3)
+    goals, palms = (
+        np.array(stage.episode.header.episode["goals"]),
+        stage.motion.palms.reshape(-1, 3),
+    )
     centre, half = stage.motion.position[0, geom.index], np.array(geom.size)
     start = eye - np.array([0.0, stage.offset, 0.0])
     blocked = crosses(start, np.concatenate([goals, [top], palms]), centre - half, centre + half)
@@ -70,7 +83,9 @@ def hides(geom: Geom, stage: Stage, eye: Array) -> bool:
 
 
 def crosses(start: Array, ends: Array, low: Array, high: Array) -> Array:
-    """Whether the straight lines from one point (3,) to others (n, 3) pass through an upright box, (n,) bool."""
+    """Whether the straight lines from one point (3,) to others (n, 3) pass through an upright box,
+    (n,) bool.
+    """
     along = ends - start
     along = np.where(along == 0.0, 1e-12, along)
     first, second = (low - start) / along, (high - start) / along
@@ -79,10 +94,16 @@ def crosses(start: Array, ends: Array, low: Array, high: Array) -> Array:
 
 
 def _seen(stage: Stage) -> Array:
-    """Points that must be in the picture, (n, 3): robot, hand paths and goals with some room around them, and all that stands about."""
+    """Points that must be in the picture, (n, 3): robot, hand paths and goals with some room around
+    them, and all that stands about.
+    """
     motion, geoms = stage.motion, stage.geometry.geoms
     robot = [geom.index for geom in geoms if geom.place == "robot"]
-    places = [motion.position[:, robot], motion.palms, np.array(stage.episode.header.episode["goals"])]
+    places = [
+        motion.position[:, robot],
+        motion.palms,
+        np.array(stage.episode.header.episode["goals"]),
+    ]
     points = np.concatenate([place.reshape(-1, 3) for place in places])
     seen = [points + side * AROUND for side in (-1.0, 1.0)]
     for geom in geoms:

@@ -1,4 +1,6 @@
-"""Learning curves as a printed figure (the paper's Figure 4): a row of panels per scene, mean and deviation over seeds."""
+"""Learning curves as a printed figure (the paper's Figure 4): a row of panels per scene, mean and
+deviation over seeds.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ PANELS = {"score": "score, -ln Σ error", "success": "success", "clean": "clean 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Some runs' mean as a line, their deviation as an area around it, and every single run pale behind it."""
+    """Some runs' mean as a line, their deviation as an area around it, and every single run pale
+    behind it.
+    """
 
     label: str
     x: Array  # (n,)
@@ -26,21 +30,30 @@ class Curve:
     deviation: Array  # (n,)
     runs: Sequence[tuple[Array, Array]] = ()
     dashed: bool = False
-    """For figures of episodes in which actions were explored; drawn without the area and the single runs."""
+    """For figures of episodes in which actions were explored.
+
+    Drawn without the area and the single runs.
+    """
 
 
 def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, against: str) -> Figure:
     """The figure.
 
     Args:
-        scenes: Curves by scene and by figure, the keys of PANELS. Curves of one label have one colour.
+        scenes: Curves by scene and by figure, the keys of PANELS. Curves of one label have one
+            colour.
         against: What x counts.
     """
     figure = Figure(figsize=(4.4 * len(PANELS), 3.3 * len(scenes) + 0.5), layout="constrained")
     grid = figure.subplots(len(scenes), len(PANELS), squeeze=False, sharex="row")
     for axes_of_scene, (scene, curves) in zip(grid, scenes.items(), strict=True):
-        labels = list(dict.fromkeys(curve.label for members in curves.values() for curve in members))
-        colours = {label: tuple(part / 255 for part in cycle(JOINTS, i)[:3]) for i, label in enumerate(labels)}
+        labels = list(
+            dict.fromkeys(curve.label for members in curves.values() for curve in members)
+        )
+        colours = {
+            label: tuple(part / 255 for part in cycle(JOINTS, i)[:3])
+            for i, label in enumerate(labels)
+        }
         for axes, (name, title) in zip(axes_of_scene, PANELS.items(), strict=True):
             for curve in curves.get(name, ()):
                 _draw(axes, curve, colours[curve.label])
@@ -58,10 +71,32 @@ def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, agains
 
 def _draw(axes: Axes, curve: Curve, colour: tuple[float, ...]) -> None:
     if curve.dashed:
-        axes.plot(curve.x, curve.mean, "--", color=colour, linewidth=0.9, alpha=0.7, label=f"{curve.label}, while exploring")
+        axes.plot(
+            curve.x,
+            curve.mean,
+            "--",
+            color=colour,
+            linewidth=0.9,
+            alpha=0.7,
+            label=f"{curve.label}, while exploring",
+        )
         return
     for x, y in curve.runs if len(curve.runs) > 1 else ():
         axes.plot(x, y, color=colour, linewidth=0.6, alpha=0.35)
-    axes.fill_between(curve.x, curve.mean - curve.deviation, curve.mean + curve.deviation, color=colour, alpha=0.2, linewidth=0)
+    axes.fill_between(
+        curve.x,
+        curve.mean - curve.deviation,
+        curve.mean + curve.deviation,
+        color=colour,
+        alpha=0.2,
+        linewidth=0,
+    )
     count = f"{len(curve.runs)} run" + ("s" if len(curve.runs) > 1 else "")
-    axes.plot(curve.x, curve.mean, marker=".", color=colour, linewidth=1.6, label=f"{curve.label} ({count})")
+    axes.plot(
+        curve.x,
+        curve.mean,
+        marker=".",
+        color=colour,
+        linewidth=1.6,
+        label=f"{curve.label} ({count})",
+    )

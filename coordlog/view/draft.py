@@ -1,7 +1,9 @@
-"""A recording in the making: NumPy arrays go straight into chunks of Arrow columns, which a stream takes over all at once.
+"""A recording in the making: NumPy arrays go straight into chunks of Arrow columns, which a stream
+takes over all at once.
 
-`stream.log(entity, rr.Points3D(...))` converts each field for itself, takes a lock, and wakes a thread, for a hundred entities a hundred
-times; for an episode of 150 steps that costs more than everything else.
+`stream.log(entity, rr.Points3D(...))` converts each field for itself, takes a lock, and wakes a
+thread, for a hundred entities a hundred times; for an episode of 150 steps that costs more than
+everything else.
 """
 
 from __future__ import annotations
@@ -20,15 +22,22 @@ from coordlog.episode import Array
 from coordlog.view.palette import Colour
 
 Value = Array | float | Sequence[Enum] | Sequence[str] | Sequence[bool] | Sequence[Colour]
-"""Of a field: floats, (n,) float32 for sizes and float64 for scalars; (n, 3) and (n, 4) for places and xyzw quaternions; (n, m, 3) for line
-strips; colours, (n, 4) uint8 or tuples; triangles, (n, 3) uint32; enumerated constants, words, bools. A number stands for all."""
+"""Of a field: floats, (n,) float32 for sizes and float64 for scalars; (n, 3) and (n, 4) for places
+and xyzw quaternions; (n, m, 3) for line strips; colours, (n, 4) uint8 or tuples; triangles, (n, 3)
+uint32; enumerated constants, words, bools. A number stands for all."""
 
 
 class Draft:
-    """What panels show, until `send` hands it to a stream. Fields are named as the archetype names them."""
+    """What panels show, until `send` hands it to a stream.
+
+    Fields are named as the archetype names them.
+    """
 
     def __init__(self, now: rr.TimeColumn | None = None) -> None:
-        """Begin with nothing; with a column of one time, what `log` adds holds from then on, otherwise at all times."""
+        """Begin with nothing.
+
+        With a column of one time, what `log` adds holds from then on, otherwise at all times.
+        """
         self._now = [] if now is None else [now]
         self._chunks: list[Chunk] = []
 
@@ -37,7 +46,14 @@ class Draft:
         row = [_column(archetype, name, value) for name, value in fields.items()]
         self._chunks.append(Chunk.from_columns(entity, self._now, row))
 
-    def columns(self, entity: str, time: rr.TimeColumn, archetype: type[rr.AsComponents], counts: Array | int = 1, **fields: Value) -> None:
+    def columns(
+        self,
+        entity: str,
+        time: rr.TimeColumn,
+        archetype: type[rr.AsComponents],
+        counts: Array | int = 1,
+        **fields: Value,
+    ) -> None:
         """Add a row at each of n times to an entity.
 
         Args:
@@ -69,7 +85,9 @@ class _Ready:
         return self._values
 
 
-def _column(archetype: type[rr.AsComponents], field: str, value: Value, counts: Array | int | None = None) -> rr.ComponentColumn:
+def _column(
+    archetype: type[rr.AsComponents], field: str, value: Value, counts: Array | int | None = None
+) -> rr.ComponentColumn:
     """One field over all rows; without `counts` one row has it all."""
     values = _arrow(value)
     n = len(values)
@@ -101,7 +119,10 @@ def _arrow(value: Value) -> pa.Array:
         return pa.array([value], type=pa.float32())
     if not isinstance(value, np.ndarray):
         if isinstance(value[0], Enum):
-            return pa.array([constant.value for constant in value if isinstance(constant, Enum)], type=pa.uint8())
+            return pa.array(
+                [constant.value for constant in value if isinstance(constant, Enum)],
+                type=pa.uint8(),
+            )
         if not isinstance(value[0], tuple):
             return pa.array(value)
         value = np.array(value, dtype=np.uint8)
@@ -109,7 +130,9 @@ def _arrow(value: Value) -> pa.Array:
         return pa.array(value)
     if value.dtype == np.uint8:  # red is the highest byte
         return pa.array(np.ascontiguousarray(value).view(">u4").ravel().astype(np.uint32))
-    flat = pa.array(np.asarray(value, dtype=np.uint32 if value.dtype == np.uint32 else np.float32).ravel())
+    flat = pa.array(
+        np.asarray(value, dtype=np.uint32 if value.dtype == np.uint32 else np.float32).ravel()
+    )
     vectors = pa.FixedSizeListArray.from_arrays(flat, type=_list(flat.type, value.shape[-1]))
     if value.ndim == 2:
         return vectors

@@ -15,11 +15,15 @@ from coordlog.view.viewer import HOST, SILENT, START_SECONDS, Viewer
 
 Answer = TypeVar("Answer")
 FRAMES = 5
-"""Pictures asked for before one is taken: the viewer's own notices at its start fade over the first three it paints."""
+"""Pictures asked for before one is taken: the viewer's own notices at its start fade over the first
+three it paints."""
 PATIENCE = 60.0
 """A picture is taken after this long [s] even if something in it still moves."""
 BUSY = 180.0
-"""A viewer that has not answered for this long [s] is given up; software painting takes its time on a machine with other work."""
+"""A viewer that has not answered for this long [s] is given up.
+
+Software painting takes its time on a machine with other work.
+"""
 
 
 class Headless(Viewer):
@@ -53,7 +57,9 @@ class Headless(Viewer):
             time.sleep(0.1)
         if self.process.poll() is not None:
             raise self.failure()
-        raise ViewerError(f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try again, or use --save FILE")
+        raise ViewerError(
+            f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try again, or use --save FILE"
+        )
 
     def open(self, *files: Path) -> None:
         """Load a recording, after a blueprint for it if there is one, and stop its clock."""
@@ -64,30 +70,45 @@ class Headless(Viewer):
         patiently(lambda: self._client.set_time(play_state="paused"))
 
     def seek(self, at: float | None) -> None:
-        """Put the cursor of the present timeline to a time [s] or an episode's number; None: to its end.
+        """Put the cursor of the present timeline to a time [s] or an episode's number; None: to its
+        end.
 
         Raises:
             ConfigError: if the recording has no such time.
         """
         state = patiently(self._client.get_state)
-        recording = next(each for each in state.recordings if each.store_id == state.active_recording)
-        timeline = next(each for each in recording.timelines if each.name == recording.current_timeline)
+        recording = next(
+            each for each in state.recordings if each.store_id == state.active_recording
+        )
+        timeline = next(
+            each for each in recording.timelines if each.name == recording.current_timeline
+        )
         unit = 1e9 if timeline.time_type == "duration" else 1.0
         first, last = (timeline.start or 0) / unit, (timeline.end or 0) / unit
         at = last if at is None else at
         if not first <= at <= last:
-            raise ConfigError(f"--at: expected {first:g} to {last:g} on the timeline '{timeline.name}', got {at:g}")
+            raise ConfigError(
+                f"--at: expected {first:g} to {last:g} on the timeline '{timeline.name}', got {at:g}"
+            )
         if timeline.time_type == "duration":
-            patiently(lambda: self._client.set_time(timeline.name, duration=at, play_state="paused"))
+            patiently(
+                lambda: self._client.set_time(timeline.name, duration=at, play_state="paused")
+            )
         else:
-            patiently(lambda: self._client.set_time(timeline.name, sequence=int(at), play_state="paused"))
+            patiently(
+                lambda: self._client.set_time(timeline.name, sequence=int(at), play_state="paused")
+            )
 
     def picture(self, kind: str = "") -> bytes:
-        """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves any more."""
+        """PNG of the window, or of the first view of a kind such as "3D", once nothing in it moves
+        any more.
+        """
         views = patiently(self._client.get_state).views
         place = next(view.view_id for view in views if view.view_class == kind) if kind else None
         deadline, pictures = time.monotonic() + PATIENCE, [b""]
-        while (len(pictures) <= FRAMES or pictures[-1] != pictures[-2]) and time.monotonic() < deadline:
+        while (
+            len(pictures) <= FRAMES or pictures[-1] != pictures[-2]
+        ) and time.monotonic() < deadline:
             pictures.append(bytes(patiently(lambda: self._client.take_screenshot(place))))
             time.sleep(0.1)
         return pictures[-1]
@@ -98,11 +119,19 @@ class Headless(Viewer):
 
     def complaints(self) -> list[str]:
         """What views report that they could not show, and errors in the viewer's log."""
-        reports = [f"{view.name}: {report}" for view in patiently(self._client.get_state).views for report in view.reports]
-        return reports + [entry.message for entry in patiently(self._client.get_logs) if entry.level == "ERROR"]
+        reports = [
+            f"{view.name}: {report}"
+            for view in patiently(self._client.get_state).views
+            for report in view.reports
+        ]
+        return reports + [
+            entry.message for entry in patiently(self._client.get_logs) if entry.level == "ERROR"
+        ]
 
 
-def screenshot(rrd: Path, png: Path, *, at: float | None = None, size: tuple[int, int] = (1600, 1000)) -> list[str]:
+def screenshot(
+    rrd: Path, png: Path, *, at: float | None = None, size: tuple[int, int] = (1600, 1000)
+) -> list[str]:
     """Take a picture of a recording without a display.
 
     Args:

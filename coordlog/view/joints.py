@@ -1,4 +1,6 @@
-"""Joint angles and hand paths as a printed figure: knots as dots, the spline through them as a line (the paper's Figure 5)."""
+"""Joint angles and hand paths as a printed figure: knots as dots, the spline through them as a line
+(the paper's Figure 5).
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,26 @@ from scipy.interpolate import CubicHermiteSpline
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import StorageError
-from coordlog.sim.geometry import Geometry
-from coordlog.sim.robot import Robot
+from coordlog.kinematics.geometry import Geometry
+from coordlog.robots.robot import Robot
 from coordlog.view.palette import ARMS, JOINTS, Colour, cycle
 
 FINE = 8
 """A spline is drawn as this many straight lines per piece."""
 
 
-def joints_figure(episode: Episode, attachments: Mapping[str, bytes], *, title: str = "", behind: Sequence[Episode] = ()) -> Figure:
-    """Angles of the shared joints and of each arm's own over time, and the paths of all palms in space.
+def joints_figure(
+    episode: Episode,
+    attachments: Mapping[str, bytes],
+    *,
+    title: str = "",
+    behind: Sequence[Episode] = (),
+) -> Figure:
+    """Angles of the shared joints and of each arm's own over time, and the paths of all palms in
+    space.
 
-    Knots are dots and the spline is a line, with each joint's p in the legend; the executed angles are dashed. An episode without
-    a smoothed path shows its executed angles alone.
+    Knots are dots and the spline is a line, with each joint's p in the legend; the executed angles
+    are dashed. An episode without a smoothed path shows its executed angles alone.
 
     Args:
         episode: What to draw.
@@ -35,7 +44,10 @@ def joints_figure(episode: Episode, attachments: Mapping[str, bytes], *, title: 
     Raises:
         FormatError: if the model is missing or not the episode's.
     """
-    robot, geometry = Robot.from_json(episode.header.env["robot"]), Geometry.of(episode, attachments)
+    robot, geometry = (
+        Robot.from_json(episode.header.env["robot"]),
+        Geometry.of(episode, attachments),
+    )
     names = list(robot.action_joints)
     groups = {"spine": list(robot.shared)} if robot.shared else {}
     groups |= {f"{arm.name} arm": list(arm.joints) for arm in robot.arms}
@@ -45,7 +57,13 @@ def joints_figure(episode: Episode, attachments: Mapping[str, bytes], *, title: 
     for row, (group, members) in enumerate(groups.items()):
         axes = figure.add_subplot(grid[row, 0], sharex=above)
         above = above or axes
-        _angles(axes, episode, geometry.joints, {name: names.index(name) for name in members}, behind=behind)
+        _angles(
+            axes,
+            episode,
+            geometry.joints,
+            {name: names.index(name) for name in members},
+            behind=behind,
+        )
         axes.set_ylabel(f"{group} [rad]")
         if row == len(groups) - 1:
             axes.set_xlabel("time [s]")
@@ -58,53 +76,97 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> None:
     """Write a figure in the format its name ends in: png, pdf or svg.
 
     Raises:
-        StorageError: if the file exists and is not to be replaced, the format is unknown, or the file system refuses.
+        StorageError: if the file exists and is not to be replaced, the format is unknown, or the
+            file system refuses.
     """
     if path.exists() and not force:
-        raise StorageError(f"{path}: the file exists and is not overwritten; choose another name, or pass --force")
+        raise StorageError(
+            f"{path}: the file exists and is not overwritten; choose another name, or pass --force"
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=150)
     except OSError as error:
         raise StorageError(f"{path}: cannot write the figure: {error.strerror}") from error
     except ValueError as error:
-        raise StorageError(f"{path}: expected a name that ends in .png, .pdf or .svg; {str(error).splitlines()[0]}") from error
+        raise StorageError(
+            f"{path}: expected a name that ends in .png, .pdf or .svg; {str(error).splitlines()[0]}"
+        ) from error
 
 
-def _angles(axes: Axes, episode: Episode, places: Array, members: Mapping[str, int], *, behind: Sequence[Episode]) -> None:
+def _angles(
+    axes: Axes,
+    episode: Episode,
+    places: Array,
+    members: Mapping[str, int],
+    *,
+    behind: Sequence[Episode],
+) -> None:
     path, p = episode.path, _parameters(episode)
     for i, (name, joint) in enumerate(members.items()):
         colour = _rgb(cycle(JOINTS, i))
         for other in behind:
-            axes.plot(other.time, other.qpos[:, places[joint]], color=colour, alpha=0.35, linewidth=0.8)
+            axes.plot(
+                other.time, other.qpos[:, places[joint]], color=colour, alpha=0.35, linewidth=0.8
+            )
         label = name if name not in p else f"{name}   p = {p[name]:.3g}"
         executed = episode.qpos[:, places[joint]]
         if path is None:
             axes.plot(episode.time, executed, color=colour, linewidth=1.2, label=label)
             continue
-        axes.plot(path.knot_time, path.knot_position[:, joint], ".", color=colour, markersize=2.5, alpha=0.6)
+        axes.plot(
+            path.knot_time,
+            path.knot_position[:, joint],
+            ".",
+            color=colour,
+            markersize=2.5,
+            alpha=0.6,
+        )
         time = _fine(path.time)
-        axes.plot(time, CubicHermiteSpline(path.time, path.position[:, joint], path.velocity[:, joint])(time), color=colour, label=label)
+        axes.plot(
+            time,
+            CubicHermiteSpline(path.time, path.position[:, joint], path.velocity[:, joint])(time),
+            color=colour,
+            label=label,
+        )
         axes.plot(episode.time, executed, "--", color="black", linewidth=0.6, alpha=0.6)
     axes.grid(alpha=0.25)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
 
 
-def _palms(axes: Axes, episode: Episode, geometry: Geometry, robot: Robot, *, behind: Sequence[Episode]) -> None:
+def _palms(
+    axes: Axes, episode: Episode, geometry: Geometry, robot: Robot, *, behind: Sequence[Episode]
+) -> None:
     path, shown = episode.path, geometry.palms(episode.qpos)
     for i, arm in enumerate(robot.arms):
         colour, goal = _rgb(cycle(ARMS, i)), episode.header.episode["goals"]
         for other in behind:
             axes.plot(*geometry.palms(other.qpos)[:, i].T, color=colour, alpha=0.35, linewidth=0.8)
         if path is not None:
-            axes.plot(*geometry.palms_of(path.knot_position, path.knot_time, episode)[:, i].T, ".", color=colour, markersize=2.5, alpha=0.6)
+            axes.plot(
+                *geometry.palms_of(path.knot_position, path.knot_time, episode)[:, i].T,
+                ".",
+                color=colour,
+                markersize=2.5,
+                alpha=0.6,
+            )
             time = _fine(path.time)
             curve = CubicHermiteSpline(path.time, path.position, path.velocity)(time)
-            axes.plot(*geometry.palms_of(curve, time, episode)[:, i].T, color=colour, label=f"{arm.name} palm")
+            axes.plot(
+                *geometry.palms_of(curve, time, episode)[:, i].T,
+                color=colour,
+                label=f"{arm.name} palm",
+            )
         else:
             axes.plot(*shown[:, i].T, color=colour, label=f"{arm.name} palm")
         if len(goal) > i:
-            axes.plot(*np.array(goal[i])[:, None], marker="*", color=colour, markeredgecolor="black", markersize=11)
+            axes.plot(
+                *np.array(goal[i])[:, None],
+                marker="*",
+                color=colour,
+                markeredgecolor="black",
+                markersize=11,
+            )
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="hand paths (stars: goals)")
     axes.set_aspect("equal")
     axes.locator_params(nbins=4)
@@ -114,13 +176,23 @@ def _palms(axes: Axes, episode: Episode, geometry: Geometry, robot: Robot, *, be
 
 def _parameters(episode: Episode) -> dict[str, float]:
     """The paper's p of each joint, by name; empty for an episode that was not smoothed."""
-    joints = episode.header.lineage.get("parameters", {}).get("joints", []) if episode.path is not None else []
+    joints = (
+        episode.header.lineage.get("parameters", {}).get("joints", [])
+        if episode.path is not None
+        else []
+    )
     return {joint["name"]: float(joint["p"]) for joint in joints}
 
 
 def _title(episode: Episode) -> str:
     about, result = episode.header.episode, episode.result
-    ended = "clean success" if result.clean else "success" if result.success else result.aborted or "no success"
+    ended = (
+        "clean success"
+        if result.clean
+        else "success"
+        if result.success
+        else result.aborted or "no success"
+    )
     made = f", {episode.header.lineage['transform']}" if episode.header.lineage["transform"] else ""
     return f"{about['scene']}, {about['split']} seed {about['seed']} episode {about['index']}{made}: {ended} after {episode.time[-1]:.2f} s"
 

@@ -19,7 +19,10 @@ MARGIN = 0.15
 
 
 def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
-    """Scene and flags on the left; text, joints, and distances with rewards on the right; a banner above for what was cut short."""
+    """Scene and flags on the left; text, joints, and distances with rewards on the right.
+
+    A banner above for what was cut short.
+    """
     plots = rrb.Vertical(
         rrb.Tabs(*(_text(stage) for stage in stages), active_tab=len(stages) - 1),
         _joints(stages),
@@ -34,7 +37,12 @@ def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
     panels: rrb.Container = rrb.Horizontal(left, plots, column_shares=[3, 2])
     cut = [stage for stage in stages if stage.episode.result.aborted]
     if cut:
-        banners = rrb.Horizontal(*(rrb.TextDocumentView(origin=stage.entity("banner"), name=stage.show.name) for stage in cut))
+        banners = rrb.Horizontal(
+            *(
+                rrb.TextDocumentView(origin=stage.entity("banner"), name=stage.show.name)
+                for stage in cut
+            )
+        )
         panels = rrb.Vertical(banners, panels, row_shares=[1, 9])
     return rrb.Blueprint(panels, *panes(), auto_layout=False, auto_views=False)
 
@@ -42,7 +50,12 @@ def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
 def panes(*, timeline: str = TIMELINE, play: Play = "playing") -> list[rrb.BlueprintPart]:
     """The viewer's own panes: only the time line is shown."""
     return [
-        rrb.TimePanel(state="collapsed", timeline=timeline, play_state=play, loop_mode="all" if play == "playing" else "off"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=timeline,
+            play_state=play,
+            loop_mode="all" if play == "playing" else "off",
+        ),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.TopPanel(state="hidden"),
@@ -52,7 +65,14 @@ def panes(*, timeline: str = TIMELINE, play: Play = "playing") -> list[rrb.Bluep
 def space(name: str, camera: Camera, contents: Sequence[str]) -> rrb.Spatial3DView:
     """A three-dimensional view with its eye in place."""
     eye = rrb.EyeControls3D(position=camera.eye, look_target=camera.target, eye_up=[0.0, 0.0, 1.0])
-    return rrb.Spatial3DView(origin="/", contents=contents, name=name, eye_controls=eye, line_grid=False, background=palette.BACKGROUND)
+    return rrb.Spatial3DView(
+        origin="/",
+        contents=contents,
+        name=name,
+        eye_controls=eye,
+        line_grid=False,
+        background=palette.BACKGROUND,
+    )
 
 
 def _scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
@@ -64,12 +84,20 @@ def _scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
 
 def _joints(stages: Sequence[Stage]) -> rrb.Tabs:
     groups = list(dict.fromkeys(group for stage in stages for group in stage.groups))
-    views = [_series(stages, f"joints: {group}", f"joint/{group}/**", span=_span(stages, group)) for group in groups]
-    return rrb.Tabs(*views, _series(stages, "actions", "action/**"), active_tab=min(1, len(groups) - 1))
+    views = [
+        _series(stages, f"joints: {group}", f"joint/{group}/**", span=_span(stages, group))
+        for group in groups
+    ]
+    return rrb.Tabs(
+        *views, _series(stages, "actions", "action/**"), active_tab=min(1, len(groups) - 1)
+    )
 
 
 def _flags(stages: Sequence[Stage]) -> rrb.Tabs:
-    views = [rrb.StateTimelineView(origin=stage.entity("flag"), name=f"flags {stage.label}".strip()) for stage in stages]
+    views = [
+        rrb.StateTimelineView(origin=stage.entity("flag"), name=f"flags {stage.label}".strip())
+        for stage in stages
+    ]
     return rrb.Tabs(*views, active_tab=len(views) - 1)
 
 
@@ -77,18 +105,27 @@ def _text(stage: Stage) -> rrb.TextDocumentView:
     return rrb.TextDocumentView(origin=stage.entity("about"), name=stage.label or stage.show.name)
 
 
-def _series(stages: Sequence[Stage], name: str, entities: str, *, span: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+def _series(
+    stages: Sequence[Stage], name: str, entities: str, *, span: tuple[float, float] | None = None
+) -> rrb.TimeSeriesView:
     contents = [f"+ {stage.root}/{entities}" for stage in stages]
     axis = None if span is None else rrb.ScalarAxis(range=span)
     return rrb.TimeSeriesView(origin="/", contents=contents, name=name, axis_y=axis)
 
 
 def _span(stages: Sequence[Stage], group: str) -> tuple[float, float]:
-    """A range that shows how the joints move and were to move; their limits come into it when they are near."""
+    """A range that shows how the joints move and were to move.
+
+    Their limits come into it when they are near.
+    """
     angles = []
     for stage in stages:
         index, path = stage.groups.get(group, []), stage.episode.path
         angles += [stage.episode.qpos[:, stage.geometry.joints[index]].ravel()] if index else []
-        angles += [path.knot_position[:, index].ravel(), path.position[:, index].ravel()] if path is not None else []
+        angles += (
+            [path.knot_position[:, index].ravel(), path.position[:, index].ravel()]
+            if path is not None
+            else []
+        )
     every = np.concatenate(angles)
     return float(np.nanmin(every)) - MARGIN, float(np.nanmax(every)) + MARGIN

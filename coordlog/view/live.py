@@ -47,7 +47,9 @@ class Live:
         sinks: list[rr.GrpcSink | rr.FileSink] = [rr.GrpcSink(url)] if url else []
         sinks += [rr.FileSink(str(file))] if file is not None else []
         if not sinks:
-            raise ConfigError("live view: expected the address of a viewer, a file, or both, got neither")
+            raise ConfigError(
+                "live view: expected the address of a viewer, a file, or both, got neither"
+            )
         self._stream = new_stream(name)
         self._stream.set_sinks(*sinks)
         self._panels: dict[str, list[str]] = {}
@@ -57,12 +59,18 @@ class Live:
     def __enter__(self) -> Live:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._stream.flush()
         self._stream.disconnect()
 
     def figures(self, update: int, values: Mapping[str, float]) -> None:
-        """Add a point to each curve; names are "panel/curve", and a new panel is laid out when it is first named.
+        """Add a point to each curve; names are "panel/curve", and a new panel is laid out when it
+        is first named.
 
         Raises:
             SpecError: if a name is not of two parts.
@@ -78,24 +86,34 @@ class Live:
             if curve not in curves:
                 colour = palette.cycle(palette.JOINTS, len(curves))
                 curves.append(curve)
-                self._stream.log(entity, rr.SeriesLines(names=curve, colors=colour, widths=2.0), static=True)
+                self._stream.log(
+                    entity, rr.SeriesLines(names=curve, colors=colour, widths=2.0), static=True
+                )
             self._stream.log(entity, rr.Scalars(value))
         if len(self._panels) > known:
             self._arrange()
 
     def evaluation(self, update: int, shows: Sequence[Show]) -> None:
-        """Show the hand paths of an evaluation's episodes by how they ended, and the robot at the end of the first that brings its model.
+        """Show the hand paths of an evaluation's episodes by how they ended, and the robot at the
+        end of the first that brings its model.
 
         Raises:
             ConfigError: without an episode.
             FormatError: if that model cannot be used.
         """
         if not shows:
-            raise ConfigError("live view: expected at least one episode of the evaluation, got none")
+            raise ConfigError(
+                "live view: expected at least one episode of the evaluation, got none"
+            )
         stream, outcomes = self._stream, [Outcome.of(show) for show in shows]
         stream.set_time(TIMELINE, sequence=update)
         for kind, colour in KINDS.items():
-            paths = [outcome.palms[:, i] for outcome in outcomes if outcome.kind == kind for i in range(len(outcome.arms))]
+            paths = [
+                outcome.palms[:, i]
+                for outcome in outcomes
+                if outcome.kind == kind
+                for i in range(len(outcome.arms))
+            ]
             lines = rr.LineStrips3D(paths, colors=colour, radii=rr.Radius.ui_points(0.8))
             stream.log(rr.new_entity_path(["world", "path", kind]), lines)
         stream.log("/about", rr.TextDocument(about_all(outcomes), media_type=MARKDOWN))
@@ -114,9 +132,19 @@ class Live:
     def _arrange(self) -> None:
         """Lay the panels out, those of the figures known so far."""
         view = self._camera or Camera(np.array([1.4, -0.9, 1.0]), np.array([0.1, 0.0, 0.4]))
-        scene = space("latest evaluation: hand paths, and the robot at the end of one", view, ["+ /world/**"])
+        scene = space(
+            "latest evaluation: hand paths, and the robot at the end of one", view, ["+ /world/**"]
+        )
         text = rrb.TextDocumentView(origin="/about", name="latest evaluation")
-        plots = [rrb.TimeSeriesView(origin=rr.new_entity_path(["figure", panel]), name=panel) for panel in self._panels]
+        plots = [
+            rrb.TimeSeriesView(origin=rr.new_entity_path(["figure", panel]), name=panel)
+            for panel in self._panels
+        ]
         right = rrb.Vertical(*plots, text)
-        panels, around = rrb.Horizontal(scene, right, column_shares=[1, 1]), panes(timeline=TIMELINE, play="following")
-        self._stream.send_blueprint(rrb.Blueprint(panels, *around, auto_layout=False, auto_views=False))
+        panels, around = (
+            rrb.Horizontal(scene, right, column_shares=[1, 1]),
+            panes(timeline=TIMELINE, play="following"),
+        )
+        self._stream.send_blueprint(
+            rrb.Blueprint(panels, *around, auto_layout=False, auto_views=False)
+        )

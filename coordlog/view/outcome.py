@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from coordlog.episode import Array, Episode
-from coordlog.sim.state import StateView
+from coordlog.tasks.reach.observation import StateView
 from coordlog.view.palette import BAD, EXECUTED, FAIR, GOOD, Colour
 from coordlog.view.show import Show
 from coordlog.view.text import plain, title, verdict
@@ -53,7 +53,10 @@ class Outcome:
 
     @classmethod
     def of(cls, show: Show) -> Outcome:
-        """Take what is needed out of an episode; palms come from its policy state, so no model is compiled."""
+        """Take what is needed out of an episode.
+
+        Palms come from its policy state, so no model is compiled.
+        """
         episode, header = show.episode, show.episode.header
         palms = StateView.from_json(header.env).physical(episode.state, "palms")
         k = len(header.arms)
@@ -82,10 +85,17 @@ class Outcome:
 
     @property
     def urgency(self) -> tuple[float, ...]:
-        """Sorts episodes, those to look at first in front: the failures, the earliest fall, most collisions, largest distance."""
+        """Sorts episodes, those to look at first in front: the failures, the earliest fall, most
+        collisions, largest distance.
+        """
         soon = self.steps if self.kind == "fell" else -self.steps
         far = -self.worst if self.kind == "not reached" and np.isfinite(self.worst) else 0.0
-        return (URGENT.index(self.kind), far, -self.collisions if self.kind == "success with collision" else 0, soon)
+        return (
+            URGENT.index(self.kind),
+            far,
+            -self.collisions if self.kind == "success with collision" else 0,
+            soon,
+        )
 
     @property
     def why(self) -> str:
@@ -93,7 +103,11 @@ class Outcome:
         touched = f"{self.collisions} steps of collision"
         if self.kind == "success with collision":
             return touched
-        when = f"after {self.seconds:.2f} s" if self.kind in ("aborted", "fell") else f"{self.worst * 100:.1f} cm off"
+        when = (
+            f"after {self.seconds:.2f} s"
+            if self.kind in ("aborted", "fell")
+            else f"{self.worst * 100:.1f} cm off"
+        )
         return f"{when}, {touched}" if self.collisions else when
 
 
@@ -111,7 +125,16 @@ def kind(episode: Episode) -> str:
 def about_one(outcome: Outcome) -> str:
     """An episode under the cursor, as Markdown."""
     command = f"`coordlog view {plain(outcome.file)}`"
-    lines = [f"### {outcome.title}", "", f"**{outcome.verdict}**", "", command, "", "| arm | final distance | return |", "|---|---|---|"]
+    lines = [
+        f"### {outcome.title}",
+        "",
+        f"**{outcome.verdict}**",
+        "",
+        command,
+        "",
+        "| arm | final distance | return |",
+        "|---|---|---|",
+    ]
     for arm, final, returned in zip(outcome.arms, outcome.final, outcome.returns, strict=True):
         lines.append(f"| {plain(arm)} | {final * 100:.1f} cm | {returned:.1f} |")
     return "\n".join([*lines, "", f"{outcome.steps} steps, policy {plain(outcome.policy)}"])
@@ -121,17 +144,33 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
     """How many ended how, and which episodes to open next, as Markdown."""
     scenes = ", ".join(sorted({plain(outcome.scene) for outcome in outcomes}))
     counts = {name: sum(outcome.kind == name for outcome in outcomes) for name in KINDS}
-    shares = [f"**{count} {name}** ({count / len(outcomes):.1%})" for name, count in counts.items() if count]
+    shares = [
+        f"**{count} {name}** ({count / len(outcomes):.1%})"
+        for name, count in counts.items()
+        if count
+    ]
     lines = [f"### {len(outcomes)} episodes: {scenes}", "", ", ".join(shares)]
     finals = np.array([outcome.worst for outcome in outcomes])
     finite = finals[np.isfinite(finals)]
     if len(finite):
         median, most = np.percentile(finite, [50, 90])
-        lines += ["", f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm."]
+        lines += [
+            "",
+            f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm.",
+        ]
     lines += ["", "### Open next", "", "| # | episode | ended as | why |", "|---|---|---|---|"]
     names = _short([outcome.file for outcome in outcomes])
-    lines += [f"| {i} | {plain(names[i])} | {outcomes[i].kind} | {outcomes[i].why} |" for i in worth_a_look(outcomes)]
-    return "\n".join([*lines, "", "Put the cursor of the time line on its number to see its hands and the command that opens it."])
+    lines += [
+        f"| {i} | {plain(names[i])} | {outcomes[i].kind} | {outcomes[i].why} |"
+        for i in worth_a_look(outcomes)
+    ]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "Put the cursor of the time line on its number to see its hands and the command that opens it.",
+        ]
+    )
 
 
 def by_urgency(outcomes: Sequence[Outcome]) -> list[int]:
@@ -140,7 +179,9 @@ def by_urgency(outcomes: Sequence[Outcome]) -> list[int]:
 
 
 def worth_a_look(outcomes: Sequence[Outcome]) -> list[int]:
-    """Numbers of at most TOP episodes: the most urgent of every kind, then more of the most urgent kind."""
+    """Numbers of at most TOP episodes: the most urgent of every kind, then more of the most urgent
+    kind.
+    """
     ranked, seen = by_urgency(outcomes), dict.fromkeys(KINDS, 0)
     chosen = []
     for i in ranked:
@@ -155,4 +196,6 @@ def worth_a_look(outcomes: Sequence[Outcome]) -> list[int]:
 def _short(files: Sequence[str]) -> list[str]:
     """Files by what tells them apart: the folders they share are left out."""
     folder = os.path.commonpath([os.path.dirname(file) for file in files])
-    return [(os.path.relpath(file, folder) if folder else file).removesuffix(".mcap") for file in files]
+    return [
+        (os.path.relpath(file, folder) if folder else file).removesuffix(".mcap") for file in files
+    ]

@@ -1,6 +1,8 @@
-"""A folder of episodes as one recording: which succeeded, where the hands went, how far off they ended, which to open next.
+"""A folder of episodes as one recording: which succeeded, where the hands went, how far off they
+ended, which to open next.
 
-The time line counts episodes: the cursor picks one, whose hand paths are drawn bold and whose summary stands beside the scene.
+The time line counts episodes: the cursor picks one, whose hand paths are drawn bold and whose
+summary stands beside the scene.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ FARTHEST = 0.60
 
 
 def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
-    """Build the overview of many episodes; one is held in memory at a time, so `shows` may be a generator.
+    """Build the overview of many episodes; one is held in memory at a time, so `shows` may be a
+    generator.
 
-    The robot is drawn once, as it stands at the start of the first episode that comes with its model; all others need no attachments.
-    The recording waits in memory with its blueprint: `save` it, or `connect_grpc` it to a viewer.
+    The robot is drawn once, as it stands at the start of the first episode that comes with its
+    model; all others need no attachments. The recording waits in memory with its blueprint: `save`
+    it, or `connect_grpc` it to a viewer.
 
     Raises:
         ConfigError: without a show.
@@ -59,7 +63,9 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
     plot_rates(stream, outcomes)
     log_table(stream, outcomes)
     stream.log("/about", rr.TextDocument(about_all(outcomes), media_type=MARKDOWN), static=True)
-    texts = rr.TextDocument.columns(text=[about_one(outcome) for outcome in outcomes], media_type=[MARKDOWN] * len(outcomes))
+    texts = rr.TextDocument.columns(
+        text=[about_one(outcome) for outcome in outcomes], media_type=[MARKDOWN] * len(outcomes)
+    )
     stream.send_columns("/episode", [_numbers(outcomes)], texts)
     seen = [outcome.palms.reshape(-1, 3) for outcome in outcomes]
     if stage is not None:  # with room around the joints' middles, or the head would be cut off
@@ -76,50 +82,85 @@ def draw_paths(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
         paths = [outcome.palms[:, i] for i in range(len(outcome.arms))]
         groups.setdefault((outcome.scene, outcome.kind), []).extend(paths)
     for (scene, kind), paths in groups.items():
-        entity = "/".join(["/world/paths", rr.escape_entity_path_part(scene), rr.escape_entity_path_part(kind)])
+        entity = "/".join(
+            ["/world/paths", rr.escape_entity_path_part(scene), rr.escape_entity_path_part(kind)]
+        )
         quiet = palette.pale(KINDS[kind], 0.5 if kind == "clean success" else 0.0)
-        stream.log(entity, rr.LineStrips3D(paths, colors=quiet, radii=rr.Radius.ui_points(0.5)), static=True)
+        stream.log(
+            entity,
+            rr.LineStrips3D(paths, colors=quiet, radii=rr.Radius.ui_points(0.5)),
+            static=True,
+        )
 
 
 def draw_cursor(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
     """Log the hand paths and goals of the episode under the cursor."""
     time = [_numbers(outcomes)]
     counts = np.array([len(outcome.arms) for outcome in outcomes])
-    colours = np.array([palette.cycle(palette.ARMS, i) for count in counts for i in range(count)], dtype=np.uint8)
+    colours = np.array(
+        [palette.cycle(palette.ARMS, i) for count in counts for i in range(count)], dtype=np.uint8
+    )
     paths = [outcome.palms[:, i] for outcome in outcomes for i in range(len(outcome.arms))]
     stream.log("/world/cursor/path", rr.LineStrips3D.from_fields(radii=0.0045), static=True)
-    stream.send_columns("/world/cursor/path", time, rr.LineStrips3D.columns(strips=paths, colors=colours).partition(counts))
+    stream.send_columns(
+        "/world/cursor/path",
+        time,
+        rr.LineStrips3D.columns(strips=paths, colors=colours).partition(counts),
+    )
     goals = np.concatenate([outcome.goals for outcome in outcomes])
     stream.log("/world/cursor/goal", rr.Points3D.from_fields(radii=0.012), static=True)
-    stream.send_columns("/world/cursor/goal", time, rr.Points3D.columns(positions=goals, colors=colours).partition(counts))
+    stream.send_columns(
+        "/world/cursor/goal",
+        time,
+        rr.Points3D.columns(positions=goals, colors=colours).partition(counts),
+    )
 
 
 def plot_rates(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
-    """Log how each episode ended as lanes, running rates, final distances by episode and their histogram."""
+    """Log how each episode ended as lanes, running rates, final distances by episode and their
+    histogram.
+    """
     time = _numbers(outcomes)
     kinds = np.array([outcome.kind for outcome in outcomes])
     look = rr.StateConfiguration(values=list(KINDS), colors=list(KINDS.values()))
     stream.log("/lane/result", look, static=True)
     stream.send_columns("/lane/result", [time], rr.StateChange.columns(state=kinds.tolist()))
     touched = np.array([outcome.collisions > 0 for outcome in outcomes])
-    look = rr.StateConfiguration(values=["collision", "no"], colors=[palette.BAD, palette.EXECUTED], visible=[True, False])
+    look = rr.StateConfiguration(
+        values=["collision", "no"], colors=[palette.BAD, palette.EXECUTED], visible=[True, False]
+    )
     stream.log("/lane/collision", look, static=True)
-    stream.send_columns("/lane/collision", [time], rr.StateChange.columns(state=np.where(touched, "collision", "no").tolist()))
-    succeeded = np.array([outcome.kind in ("clean success", "success with collision") for outcome in outcomes])
-    rates = np.stack([running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1)
-    names, colours = ["clean success", "success", "collision"], [palette.GOOD, palette.FAIR, palette.BAD]
+    stream.send_columns(
+        "/lane/collision",
+        [time],
+        rr.StateChange.columns(state=np.where(touched, "collision", "no").tolist()),
+    )
+    succeeded = np.array(
+        [outcome.kind in ("clean success", "success with collision") for outcome in outcomes]
+    )
+    rates = np.stack(
+        [running(column) for column in (kinds == "clean success", succeeded, touched)], axis=1
+    )
+    names, colours = (
+        ["clean success", "success", "collision"],
+        [palette.GOOD, palette.FAIR, palette.BAD],
+    )
     draft = Draft()
     lines(draft, "/rate", time, rates, names=names, colours=colours, width=2.0)
     draft.send(stream)
     worst = np.array([outcome.worst for outcome in outcomes])
-    marks = rr.SeriesPoints(colors=[palette.JOINTS[0]], markers=["circle"], marker_sizes=[2.0], names=["farther palm"])
+    marks = rr.SeriesPoints(
+        colors=[palette.JOINTS[0]], markers=["circle"], marker_sizes=[2.0], names=["farther palm"]
+    )
     stream.log("/final", marks, static=True)
     stream.send_columns("/final", [time], rr.Scalars.columns(scalars=100.0 * worst))
     finite = np.minimum(worst[np.isfinite(worst)], FARTHEST - BIN / 2)
     edges = np.arange(0.0, finite.max(initial=0.0) + 2 * BIN, BIN)
     counts, _ = np.histogram(finite, bins=edges)
     widths = np.full(len(counts), 100.0 * BIN)
-    bars = rr.BarChart(counts, color=palette.JOINTS[0], abscissa=100.0 * (edges[:-1] + BIN / 2), widths=widths)
+    bars = rr.BarChart(
+        counts, color=palette.JOINTS[0], abscissa=100.0 * (edges[:-1] + BIN / 2), widths=widths
+    )
     stream.log("/histogram", bars, static=True)
 
 

@@ -1,4 +1,6 @@
-"""The colours of all panels: one hue per arm in the scene and in the plots, one per joint within a group."""
+"""The colours of all panels: one hue per arm in the scene and in the plots, one per joint within a
+group.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,12 @@ from collections.abc import Sequence
 
 Colour = tuple[int, int, int, int]
 
-ARMS: tuple[Colour, ...] = ((72, 149, 239, 255), (255, 140, 66, 255), (88, 196, 122, 255), (196, 118, 232, 255))
+ARMS: tuple[Colour, ...] = (
+    (72, 149, 239, 255),
+    (255, 140, 66, 255),
+    (88, 196, 122, 255),
+    (196, 118, 232, 255),
+)
 """By the arm's place in the robot's spec, as the humanoid's own sides."""
 JOINTS: tuple[Colour, ...] = (
     (78, 161, 255, 255),
@@ -34,7 +41,9 @@ def cycle(colours: Sequence[Colour], index: int) -> Colour:
 
 def pale(colour: Colour, share: float = 0.5) -> Colour:
     """The colour mixed with the background, for what stands behind."""
-    red, green, blue = (round(c + (b - c) * share) for c, b in zip(colour[:3], BACKGROUND, strict=False))
+    red, green, blue = (
+        round(c + (b - c) * share) for c, b in zip(colour[:3], BACKGROUND, strict=False)
+    )
     return red, green, blue, colour[3]
 
 
@@ -46,5 +55,7 @@ def bright(colour: Colour, share: float = 0.65) -> Colour:
 
 def rgba(colour: Sequence[float], *, alpha: float = 1.0) -> Colour:
     """MuJoCo's rgba in [0, 1], made more transparent by a factor."""
-    red, green, blue, opacity = (round(255 * max(0.0, min(1.0, value))) for value in (*colour[:3], colour[3] * alpha))
+    red, green, blue, opacity = (
+        round(255 * max(0.0, min(1.0, value))) for value in (*colour[:3], colour[3] * alpha)
+    )
     return red, green, blue, opacity

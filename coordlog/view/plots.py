@@ -1,6 +1,8 @@
-"""The time series: joint angles with limits, knots and spline; actions, rewards, distances; flags as lanes.
+"""The time series: joint angles with limits, knots and spline; actions, rewards, distances; flags
+as lanes.
 
-What an action led to is drawn at the time of the state it led to. Several shows share a plot: all but the last are drawn pale.
+What an action led to is drawn at the time of the state it led to. Several shows share a plot: all
+but the last are drawn pale.
 """
 
 from __future__ import annotations
@@ -12,7 +14,18 @@ import rerun as rr
 
 from coordlog.episode import Array
 from coordlog.view.draft import Draft
-from coordlog.view.palette import ARMS, BAD, EXECUTED, FAIR, GOOD, JOINTS, Colour, bright, cycle, pale
+from coordlog.view.palette import (
+    ARMS,
+    BAD,
+    EXECUTED,
+    FAIR,
+    GOOD,
+    JOINTS,
+    Colour,
+    bright,
+    cycle,
+    pale,
+)
 from coordlog.view.show import Stage, clock
 
 NEAREST = 1e-4
@@ -22,7 +35,10 @@ NOT = "no"
 
 
 def plot(draft: Draft, stage: Stage, *, behind: bool = False) -> None:
-    """Log every time series of one show; `behind` draws it pale and thin, because another show is the one to look at."""
+    """Log every time series of one show.
+
+    `behind` draws it pale and thin, because another show is the one to look at.
+    """
     suffix = f" ({stage.label})" if stage.label else ""
     for group, index in stage.groups.items():
         plot_joints(draft, stage, group, index, behind=behind, suffix=suffix)
@@ -30,8 +46,11 @@ def plot(draft: Draft, stage: Stage, *, behind: bool = False) -> None:
     plot_flags(draft, stage)
 
 
-def plot_joints(draft: Draft, stage: Stage, group: str, index: list[int], *, behind: bool, suffix: str) -> None:
-    """Log the angles of one group of joints, their limits, the path they were to follow, and their actions.
+def plot_joints(
+    draft: Draft, stage: Stage, group: str, index: list[int], *, behind: bool, suffix: str
+) -> None:
+    """Log the angles of one group of joints, their limits, the path they were to follow, and their
+    actions.
 
     Series of one joint have one name, so that the legend stays short and switches all of them.
     """
@@ -40,19 +59,69 @@ def plot_joints(draft: Draft, stage: Stage, group: str, index: list[int], *, beh
     own = [cycle(JOINTS, i) for i in range(len(index))]
     colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
     angles = episode.qpos[:, stage.geometry.joints[index]]
-    lines(draft, stage.entity("joint", group, "executed"), stage.states, angles, names=names, colours=colours, width=width)
-    lines(draft, stage.entity("action", group), stage.starts, episode.action[:, index], names=names, colours=colours, width=1.0, held=True)
+    lines(
+        draft,
+        stage.entity("joint", group, "executed"),
+        stage.states,
+        angles,
+        names=names,
+        colours=colours,
+        width=width,
+    )
+    lines(
+        draft,
+        stage.entity("action", group),
+        stage.starts,
+        episode.action[:, index],
+        names=names,
+        colours=colours,
+        width=1.0,
+        held=True,
+    )
     if not behind:
-        ends, limits = clock(episode.time[[0, -1]]), stage.geometry.limits[index].ravel()  # low and high of each joint
-        faint, twice = [pale(colour, 0.45) for colour in own for _ in "lh"], [name for name in names for _ in "lh"]
-        lines(draft, stage.entity("joint", group, "limits"), ends, np.tile(limits, (2, 1)), names=twice, colours=faint, width=0.6)
+        ends, limits = (
+            clock(episode.time[[0, -1]]),
+            stage.geometry.limits[index].ravel(),
+        )  # low and high of each joint
+        faint, twice = (
+            [pale(colour, 0.45) for colour in own for _ in "lh"],
+            [name for name in names for _ in "lh"],
+        )
+        lines(
+            draft,
+            stage.entity("joint", group, "limits"),
+            ends,
+            np.tile(limits, (2, 1)),
+            names=twice,
+            colours=faint,
+            width=0.6,
+        )
     if path is not None and spline is not None:
         light, (time, position) = [bright(colour, 0.4) for colour in own], spline
-        lines(draft, stage.entity("joint", group, "spline"), clock(time), position[:, index], names=names, colours=light, width=2.0)
-        knots, sizes = stage.entity("joint", group, "knots"), np.full(len(own), 2.5, dtype=np.float32)
+        lines(
+            draft,
+            stage.entity("joint", group, "spline"),
+            clock(time),
+            position[:, index],
+            names=names,
+            colours=light,
+            width=2.0,
+        )
+        knots, sizes = (
+            stage.entity("joint", group, "knots"),
+            np.full(len(own), 2.5, dtype=np.float32),
+        )
         diamonds = [rr.components.MarkerShape.Diamond] * len(own)
-        draft.log(knots, rr.SeriesPoints, colors=own, markers=diamonds, marker_sizes=sizes, names=names)
-        draft.columns(knots, clock(path.knot_time), rr.Scalars, len(index), scalars=path.knot_position[:, index].ravel())
+        draft.log(
+            knots, rr.SeriesPoints, colors=own, markers=diamonds, marker_sizes=sizes, names=names
+        )
+        draft.columns(
+            knots,
+            clock(path.knot_time),
+            rr.Scalars,
+            len(index),
+            scalars=path.knot_position[:, index].ravel(),
+        )
 
 
 def plot_outcomes(draft: Draft, stage: Stage, *, behind: bool, suffix: str) -> None:
@@ -62,32 +131,71 @@ def plot_outcomes(draft: Draft, stage: Stage, *, behind: bool, suffix: str) -> N
     own = [cycle(ARMS, i) for i in range(len(stage.arms))]
     colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
     logarithm = np.log10(np.maximum(episode.distance, NEAREST))
-    curves = {("reward",): episode.reward, ("distance",): episode.distance, ("log_distance", "palm"): logarithm}
+    curves = {
+        ("reward",): episode.reward,
+        ("distance",): episode.distance,
+        ("log_distance", "palm"): logarithm,
+    }
     for place, values in curves.items():
-        lines(draft, stage.entity(*place), stage.outcomes, values, names=names, colours=colours, width=width)
+        lines(
+            draft,
+            stage.entity(*place),
+            stage.outcomes,
+            values,
+            names=names,
+            colours=colours,
+            width=width,
+        )
     if behind:
         return
     ends = clock(episode.time[[0, -1]])
     for name, colour in (("boundary", FAIR), ("goal", GOOD)):
         radius = float(config[f"{name}_radius"])
         level, named = np.full((2, 1), np.log10(radius)), [f"{name} {radius:g} m"]
-        lines(draft, stage.entity("log_distance", name), ends, level, names=named, colours=[colour], width=1.0)
+        lines(
+            draft,
+            stage.entity("log_distance", name),
+            ends,
+            level,
+            names=named,
+            colours=[colour],
+            width=1.0,
+        )
 
 
 def plot_flags(draft: Draft, stage: Stage) -> None:
     """Log each flag as a lane that is coloured while the flag is up."""
     episode = stage.episode
-    lanes: dict[str, tuple[Array, Colour]] = {"collision": (episode.collision, BAD), "instability": (episode.instability, BAD)}
+    lanes: dict[str, tuple[Array, Colour]] = {
+        "collision": (episode.collision, BAD),
+        "instability": (episode.instability, BAD),
+    }
     for i, arm in enumerate(stage.arms):
-        lanes |= {f"boundary_{arm}": (episode.boundary[:, i], FAIR), f"goal_{arm}": (episode.goal[:, i], GOOD)}
+        lanes |= {
+            f"boundary_{arm}": (episode.boundary[:, i], FAIR),
+            f"goal_{arm}": (episode.goal[:, i], GOOD),
+        }
     # The last flag is held for one period more, or the one that ended the episode would have no width.
-    time = np.append(episode.time, episode.time[-1] + float(episode.header.episode["control_period"]))
+    time = np.append(
+        episode.time, episode.time[-1] + float(episode.header.episode["control_period"])
+    )
     for name, (flag, colour) in lanes.items():
         entity, word = stage.entity("flag", name), name.split("_")[0]
         up = np.concatenate([[False], flag, [False]])
         change = np.flatnonzero(np.diff(up, prepend=~up[:1]))
-        draft.log(entity, rr.StateConfiguration, values=[word, NOT], colors=[colour, EXECUTED], visible=[True, False])
-        draft.columns(entity, clock(time[change]), rr.StateChange, state=[word if up[i] else NOT for i in change])
+        draft.log(
+            entity,
+            rr.StateConfiguration,
+            values=[word, NOT],
+            colors=[colour, EXECUTED],
+            visible=[True, False],
+        )
+        draft.columns(
+            entity,
+            clock(time[change]),
+            rr.StateChange,
+            state=[word if up[i] else NOT for i in change],
+        )
 
 
 def lines(
@@ -101,8 +209,22 @@ def lines(
     width: float,
     held: bool = False,
 ) -> None:
-    """Log the columns of `values` (n, s) as s series of one entity; `held` draws them as steps instead of straight lines."""
-    mode = rr.components.InterpolationMode.StepAfter if held else rr.components.InterpolationMode.Linear
+    """Log the columns of `values` (n, s) as s series of one entity.
+
+    `held` draws them as steps instead of straight lines.
+    """
+    mode = (
+        rr.components.InterpolationMode.StepAfter
+        if held
+        else rr.components.InterpolationMode.Linear
+    )
     widths = np.full(len(names), width, dtype=np.float32)
-    draft.log(entity, rr.SeriesLines, names=names, colors=colours, widths=widths, interpolation_mode=[mode])
+    draft.log(
+        entity,
+        rr.SeriesLines,
+        names=names,
+        colors=colours,
+        widths=widths,
+        interpolation_mode=[mode],
+    )
     draft.columns(entity, time, rr.Scalars, len(names), scalars=values.ravel())

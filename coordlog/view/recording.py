@@ -24,7 +24,8 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     The recording waits in memory with its blueprint: `save` it, or `connect_grpc` it to a viewer.
 
     Args:
-        shows: What to show; of several, the last is in front and the others are drawn pale in the plots.
+        shows: What to show; of several, the last is in front and the others are drawn pale in the
+            plots.
         ghosts: Draw the others translucent in the place of the last instead of beside it.
 
     Raises:
@@ -42,7 +43,11 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
         about = text.about(stage.episode, file=stage.show.file)
         stream.log(stage.entity("about"), rr.TextDocument(about, media_type=MARKDOWN), static=True)
         if stage.episode.result.aborted:
-            stream.log(stage.entity("banner"), rr.TextDocument(text.banner(stage.episode), media_type=MARKDOWN), static=True)
+            stream.log(
+                stage.entity("banner"),
+                rr.TextDocument(text.banner(stage.episode), media_type=MARKDOWN),
+                static=True,
+            )
     draft.send(stream)
     stream.send_blueprint(layout(staged, view))
     return stream
@@ -51,8 +56,8 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
 def new_stream(name: str) -> rr.RecordingStream:
     """An empty recording without the timelines of the clock on the wall.
 
-    A viewer keeps one layout per application, the first it meets. Ours carry titles and an eye of their own, so each recording is an
-    application of its own.
+    A viewer keeps one layout per application, the first it meets. Ours carry titles and an eye of
+    their own, so each recording is an application of its own.
     """
     stream = rr.RecordingStream(f"coordlog-{uuid.uuid4().hex[:12]}")
     stream.set_log_tick_enabled(False)

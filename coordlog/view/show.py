@@ -1,4 +1,6 @@
-"""One episode on its way to the viewer: what came out of its file, and everything derived from it that more than one panel needs."""
+"""One episode on its way to the viewer: what came out of its file, and everything derived from it
+that more than one panel needs.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import ConfigError
-from coordlog.sim.geometry import Geometry, Motion
-from coordlog.sim.robot import Robot
+from coordlog.kinematics.geometry import Geometry, Motion
+from coordlog.robots.robot import Robot
 
 TIMELINE = "sim_time"
 SPLINE_PARTS = 4
@@ -36,12 +38,15 @@ class Show:
 class Stage:
     """A show with its geometry worked out: places in the recording, times, poses."""
 
-    def __init__(self, show: Show, *, label: str = "", offset: float = 0.0, ghost: bool = False) -> None:
+    def __init__(
+        self, show: Show, *, label: str = "", offset: float = 0.0, ghost: bool = False
+    ) -> None:
         """Work out an episode's geometry.
 
         Args:
             show: What to show.
-            label: Short name that tells it from the other shows, under which all its entities are; "" if it is the only one.
+            label: Short name that tells it from the other shows, under which all its entities are;
+                "" if it is the only one.
             offset: Sideways shift of the whole scene along y [m].
             ghost: Draw it translucent and pale, behind another one.
 
@@ -62,7 +67,9 @@ class Stage:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Action entries by the part of the robot they move: the shared joints, then every arm's own."""
+        """Action entries by the part of the robot they move: the shared joints, then every arm's
+        own.
+        """
         index = {name: i for i, name in enumerate(self.robot.action_joints)}
         named = {"shared": self.robot.shared} if self.robot.shared else {}
         named |= {arm.name: arm.joints for arm in self.robot.arms}
@@ -89,7 +96,10 @@ class Stage:
 
     @cached_property
     def spline(self) -> tuple[Array, Array] | None:
-        """The smoothed path as a dense polyline: times (n,) [s] and angles (n, n_j) [rad]; break points are among them, unchanged."""
+        """The smoothed path as a dense polyline: times (n,) [s] and angles (n, n_j) [rad].
+
+        Break points are among them, unchanged.
+        """
         path = self.episode.path
         if path is None or len(path.time) < 2:
             return None
@@ -118,7 +128,12 @@ def stages(shows: Sequence[Show], *, ghosts: bool = False, spacing: float = 1.0)
     if len(shows) == 1:
         return [Stage(shows[0])]
     return [
-        Stage(show, label=label, offset=0.0 if ghosts else spacing * i, ghost=ghosts and i < len(shows) - 1)
+        Stage(
+            show,
+            label=label,
+            offset=0.0 if ghosts else spacing * i,
+            ghost=ghosts and i < len(shows) - 1,
+        )
         for i, (show, label) in enumerate(zip(shows, distinctions(names), strict=True))
     ]
 

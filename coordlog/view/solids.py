@@ -1,6 +1,7 @@
 """MuJoCo's shapes as the viewer's: sizes, poses, the floor, and where to look at them from.
 
-One entity per kind of shape: sizes and colours are logged once, poses as columns over the whole episode.
+One entity per kind of shape: sizes and colours are logged once, poses as columns over the whole
+episode.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 import rerun as rr
 
 from coordlog.episode import Array
-from coordlog.sim.geometry import Geom
+from coordlog.kinematics.geometry import Geom
 from coordlog.view.draft import Value
 from coordlog.view.palette import FLOOR, Colour
 
@@ -40,12 +41,17 @@ def solids(kind: str, geoms: Sequence[Geom], colours: Sequence[Colour]) -> dict[
 
 
 def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) -> dict[str, Array]:
-    """Poses of shapes of one kind as fields of its archetype: position (…, len(geoms), 3) [m], quaternion (…, len(geoms), 4) wxyz."""
+    """Poses of shapes of one kind as fields of its archetype: position (…, len(geoms), 3) [m],
+    quaternion (…, len(geoms), 4) wxyz.
+    """
     xyzw = np.roll(quaternion, -1, axis=-1).reshape(-1, 4)
     if kind == "capsule":
         # The viewer's capsule starts at its origin and runs along +z; MuJoCo's is centred on it.
         half = np.array([geom.size[1] for geom in geoms])
-        return {"translations": (position - half[:, None] * axis(quaternion)).reshape(-1, 3), "quaternions": xyzw}
+        return {
+            "translations": (position - half[:, None] * axis(quaternion)).reshape(-1, 3),
+            "quaternions": xyzw,
+        }
     return {"centers": position.reshape(-1, 3), "quaternions": xyzw}
 
 
@@ -56,13 +62,24 @@ def axis(quaternion: Array) -> Array:
 
 
 def floor(centre: Array) -> dict[str, Value]:
-    """A chequered square around a point (2,), as fields of a mesh: its tiles of 0.1 m give the scene its scale."""
+    """A chequered square around a point (2,), as fields of a mesh: its tiles of 0.1 m give the
+    scene its scale.
+    """
     n = round(2 * FLOOR_HALF / TILE)
     tile = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2)
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     flat = (tile[:, None] + corners - n / 2) * TILE + np.round(centre / TILE) * TILE
     vertices = np.concatenate([flat, np.zeros((n * n, 4, 1))], axis=2).reshape(-1, 3)
-    triangles = (4 * np.arange(n * n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.uint32)
+    triangles = (
+        (4 * np.arange(n * n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]]))
+        .reshape(-1, 3)
+        .astype(np.uint32)
+    )
     colours = np.repeat(np.array(FLOOR, dtype=np.uint8)[tile.sum(axis=1) % 2], 4, axis=0)
     normals = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
-    return {"vertex_positions": vertices, "triangle_indices": triangles, "vertex_colors": colours, "vertex_normals": normals}
+    return {
+        "vertex_positions": vertices,
+        "triangle_indices": triangles,
+        "vertex_colors": colours,
+        "vertex_normals": normals,
+    }

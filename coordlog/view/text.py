@@ -20,7 +20,9 @@ def verdict(episode: Episode) -> str:
         return f"success after {seconds:.2f} s, not clean: {_blemish(episode)}"
     if episode.instability.any():
         return f"fell after {seconds:.2f} s"
-    return f"goal not reached in {seconds:.2f} s" + (f"; {_blemish(episode)}" if episode.collision.any() else "")
+    return f"goal not reached in {seconds:.2f} s" + (
+        f"; {_blemish(episode)}" if episode.collision.any() else ""
+    )
 
 
 def title(episode: Episode) -> str:
@@ -31,13 +33,18 @@ def title(episode: Episode) -> str:
 
 def banner(episode: Episode) -> str:
     """What must be read first about an episode that did not end by itself."""
-    reason, shown = plain(episode.result.aborted), f"{len(episode)} steps ({episode.time[-1]:.2f} s)"
+    reason, shown = (
+        plain(episode.result.aborted),
+        f"{len(episode)} steps ({episode.time[-1]:.2f} s)",
+    )
     return f"### This episode was cut short: {reason}. What is there, {shown}, is shown; how it went says nothing about the policy."
 
 
 def about(episode: Episode, *, file: str = "") -> str:
     """Result, origin and lineage of one episode."""
-    start, env, policy, lineage = (getattr(episode.header, name) for name in ("episode", "env", "policy", "lineage"))
+    start, env, policy, lineage = (
+        getattr(episode.header, name) for name in ("episode", "env", "policy", "lineage")
+    )
     lines = [f"**{title(episode)}: {verdict(episode)}**", "", *_arms(episode), ""]
     facts = {
         "made by": lineage["transform"],
@@ -55,9 +62,18 @@ def about(episode: Episode, *, file: str = "") -> str:
     }
     facts = {name: value for name, value in facts.items() if value} | {"episode": start["id"]}
     (first, told), *others = facts.items()
-    lines += [f"| {first} | {plain(told)} |", "|---|---|", *(f"| {name} | {plain(value)} |" for name, value in others)]
+    lines += [
+        f"| {first} | {plain(told)} |",
+        "|---|---|",
+        *(f"| {name} | {plain(value)} |" for name, value in others),
+    ]
     if lineage["parameters"]:
-        lines += ["", "### Parameters", "", *(f"- {plain(name)}: {plain(value)}" for name, value in lineage["parameters"].items())]
+        lines += [
+            "",
+            "### Parameters",
+            "",
+            *(f"- {plain(name)}: {plain(value)}" for name, value in lineage["parameters"].items()),
+        ]
     return "\n".join(lines)
 
 
@@ -71,12 +87,18 @@ def _arms(episode: Episode) -> list[str]:
     for i, arm in enumerate(episode.header.arms):
         distance = episode.distance[:, i] if len(episode) else np.array([np.nan])
         returned = episode.reward[:, i].sum()
-        rows.append(f"| {plain(arm)} | {distance[-1] * 100:.1f} cm | {distance.min() * 100:.1f} cm | {returned:.1f} |")
+        rows.append(
+            f"| {plain(arm)} | {distance[-1] * 100:.1f} cm | {distance.min() * 100:.1f} cm | {returned:.1f} |"
+        )
     return rows
 
 
 def _blemish(episode: Episode) -> str:
-    parts = [f"{int(flag.sum())} steps of {name}" for name, flag in _faults(episode).items() if flag.any()]
+    parts = [
+        f"{int(flag.sum())} steps of {name}"
+        for name, flag in _faults(episode).items()
+        if flag.any()
+    ]
     return " and ".join(parts)
 
 

@@ -1,7 +1,7 @@
 """The viewer as a process of ours: bound to 127.0.0.1, telemetry off, in a window or without one.
 
-The viewer's own helpers listen on all interfaces, so its binary is started here and connected to. It reads an `.rrd` bit by bit: the
-file must stay where it is for as long as the viewer shows it.
+The viewer's own helpers listen on all interfaces, so its binary is started here and connected to.
+It reads an `.rrd` bit by bit: the file must stay where it is for as long as the viewer shows it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ from coordlog.errors import ViewerError
 
 HOST = "127.0.0.1"
 BINARY = Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
-"""The command `rerun` is a script around this; stopping the script would leave the viewer running."""
+"""The command `rerun` is a script around this.
+
+Stopping the script would leave the viewer running.
+"""
 SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
@@ -47,7 +50,14 @@ class Viewer:
             ViewerError: if the port is taken.
         """
         self.port = claim(port)
-        self._arguments = ["--bind", HOST, "--port", str(self.port), "--hide-welcome-screen", *arguments]
+        self._arguments = [
+            "--bind",
+            HOST,
+            "--port",
+            str(self.port),
+            "--hide-welcome-screen",
+            *arguments,
+        ]
 
     @property
     def url(self) -> str:
@@ -66,13 +76,22 @@ class Viewer:
             settings = environment(Path(self._folder.name))
             with self._log.open("wb") as log:
                 command = [str(BINARY), *self._arguments]
-                self.process = subprocess.Popen(command, env=settings, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+                self.process = subprocess.Popen(
+                    command, env=settings, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                )
         except OSError as error:
             self._folder.cleanup()
-            raise ViewerError(f"the viewer cannot be run: {error.strerror}: {BINARY}; install rerun-sdk again") from error
+            raise ViewerError(
+                f"the viewer cannot be run: {error.strerror}: {BINARY}; install rerun-sdk again"
+            ) from error
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """End it, and remove its settings.
 
         Raises:
@@ -106,7 +125,9 @@ class Viewer:
             return ViewerError(NO_DISPLAY)
         said = [line for line in log.splitlines() if line.strip()]
         what = said[-1].strip() if said else "it said nothing"
-        return ViewerError(f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE and open it elsewhere")
+        return ViewerError(
+            f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE and open it elsewhere"
+        )
 
 
 def open_window(rrds: Sequence[Path], *, port: int = 0) -> None:
@@ -127,7 +148,9 @@ def require_display() -> None:
     Raises:
         ViewerError: without a display.
     """
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
         raise ViewerError(NO_DISPLAY)
 
 
@@ -149,8 +172,17 @@ def claim(port: int) -> int:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Environment in which the viewer keeps its settings in a folder of ours, with telemetry off."""
-    settings = {**os.environ, "XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder), "RUST_LOG": "error"}
+    """Environment in which the viewer keeps its settings in a folder of ours, with telemetry
+    off.
+    """
+    settings = {
+        **os.environ,
+        "XDG_CONFIG_HOME": str(folder),
+        "XDG_DATA_HOME": str(folder),
+        "RUST_LOG": "error",
+    }
     settings.setdefault("XDG_RUNTIME_DIR", str(folder))
-    subprocess.run([str(BINARY), "analytics", "disable"], env=settings, capture_output=True, check=False)
+    subprocess.run(
+        [str(BINARY), "analytics", "disable"], env=settings, capture_output=True, check=False
+    )
     return settings

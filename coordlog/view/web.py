@@ -1,7 +1,9 @@
-"""The viewer in a browser on this machine: nothing listens beyond 127.0.0.1, and the page can reach nothing else.
+"""The viewer in a browser on this machine: nothing listens beyond 127.0.0.1, and the page can reach
+nothing else.
 
-The viewer's page asks for fonts and reports its use to hosts of its own, whatever the settings of the viewer that serves it. So it is
-passed on through a server of ours that adds a content security policy: the browser itself refuses every other address.
+The viewer's page asks for fonts and reports its use to hosts of its own, whatever the settings of
+the viewer that serves it. So it is passed on through a server of ours that adds a content security
+policy: the browser itself refuses every other address.
 """
 
 from __future__ import annotations
@@ -37,13 +39,22 @@ class Page(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Pass one file of the viewer on."""
         try:
-            with urllib.request.urlopen(self.origin + urlsplit(self.path).path, timeout=START_SECONDS) as answer:
-                content, headers = answer.read(), [(name, answer.headers[name]) for name in PASSED_ON if name in answer.headers]
+            with urllib.request.urlopen(
+                self.origin + urlsplit(self.path).path, timeout=START_SECONDS
+            ) as answer:
+                content, headers = (
+                    answer.read(),
+                    [(name, answer.headers[name]) for name in PASSED_ON if name in answer.headers],
+                )
         except urllib.error.URLError:
             self.send_error(404)
             return
         self.send_response(200)
-        for name, value in [*headers, ("Content-Length", str(len(content))), ("Content-Security-Policy", self.policy)]:
+        for name, value in [
+            *headers,
+            ("Content-Length", str(len(content))),
+            ("Content-Security-Policy", self.policy),
+        ]:
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
@@ -54,7 +65,8 @@ class Page(BaseHTTPRequestHandler):
 
 @contextmanager
 def web_viewer(rrd: Path, *, port: int = 0) -> Iterator[str]:
-    """Serve a recording and the viewer's page on 127.0.0.1 for as long as the context lasts, and yield the page's address.
+    """Serve a recording and the viewer's page on 127.0.0.1 for as long as the context lasts, and
+    yield the page's address.
 
     Args:
         rrd: The recording.
@@ -67,7 +79,11 @@ def web_viewer(rrd: Path, *, port: int = 0) -> Iterator[str]:
     with Viewer(str(rrd.resolve()), "--serve-web", "--web-viewer-port", str(inner)) as viewer:
         origin = f"http://{HOST}:{inner}"
         _wait(viewer, origin)
-        page = type("BoundPage", (Page,), {"origin": origin, "policy": POLICY.format(source=f"http://{HOST}:{viewer.port}")})
+        page = type(
+            "BoundPage",
+            (Page,),
+            {"origin": origin, "policy": POLICY.format(source=f"http://{HOST}:{viewer.port}")},
+        )
         with ThreadingHTTPServer((HOST, port), page) as server:
             Thread(target=server.serve_forever, daemon=True).start()
             yield f"http://{HOST}:{port}/?url={quote(viewer.url, safe=':/')}&theme=dark&hide_welcome_screen&persist=0"
@@ -99,4 +115,6 @@ def _wait(viewer: Viewer, origin: str) -> None:
                 return
         except urllib.error.URLError:
             time.sleep(0.1)
-    raise ViewerError(f"the viewer's page did not come up on {origin} within {START_SECONDS:g} s; use --save FILE and open it elsewhere")
+    raise ViewerError(
+        f"the viewer's page did not come up on {origin} within {START_SECONDS:g} s; use --save FILE and open it elsewhere"
+    )

@@ -1,7 +1,7 @@
 """Take the viewer's documentation pictures again: python docs/images/generate.py.
 
-Records the expert with strong exploration noise in every scene, smooths that, and takes the pictures headless. Needs software Vulkan
-(mesa-vulkan-drivers) and about a minute.
+Records the expert with strong exploration noise in every scene, smooths that, and takes the
+pictures headless. Needs software Vulkan (mesa-vulkan-drivers) and about a minute.
 """
 
 import io
@@ -33,21 +33,42 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, Headless(size=SIZE) as viewer:
         folder = Path(name)
         for scene in ("free", "spheres", "table", "shelf"):
-            run("record", "--scene", scene, "--episodes", "16", "--noise", "0.5", "--split", "test", "--out", str(folder / "raw"))
+            run(
+                "record",
+                "--scene",
+                scene,
+                "--episodes",
+                "16",
+                "--noise",
+                "0.5",
+                "--split",
+                "test",
+                "--out",
+                str(folder / "raw"),
+            )
         run("smooth", str(folder / "raw"), "--out", str(folder / "smoothed"))
-        pairs = {path.name.split("-")[0]: (path, folder / "smoothed" / path.name) for path in clean(folder)}
+        pairs = {
+            path.name.split("-")[0]: (path, folder / "smoothed" / path.name)
+            for path in clean(folder)
+        }
         for scene, (_, smoothed) in pairs.items():
             take(viewer, folder, [show(smoothed, scene)], f"view-{scene}")
         take(
             viewer,
             folder,
-            [show(path, name) for path, name in zip(pairs["table"], ("raw", "smoothed"), strict=True)],
+            [
+                show(path, name)
+                for path, name in zip(pairs["table"], ("raw", "smoothed"), strict=True)
+            ],
             "view-raw-and-smoothed",
         )
         take(
             viewer,
             folder,
-            [show(path, name) for path, name in zip(pairs["shelf"], ("raw", "smoothed"), strict=True)],
+            [
+                show(path, name)
+                for path, name in zip(pairs["shelf"], ("raw", "smoothed"), strict=True)
+            ],
             "view-ghosts",
             ghosts=True,
         )
@@ -58,13 +79,19 @@ def main() -> None:
 
 def clean(folder: Path) -> list[Path]:
     """Raw files whose episode succeeds cleanly, raw and smoothed; of every scene the last."""
-    results = {path: read_episode(path) for path in open_logs([folder / "raw", folder / "smoothed"]).paths}
+    results = {
+        path: read_episode(path) for path in open_logs([folder / "raw", folder / "smoothed"]).paths
+    }
     made = {
         path.name
         for path, episode in results.items()
         if path.parent.name == "smoothed" and episode.path is not None and episode.result.clean
     }
-    return [path for path, episode in results.items() if path.parent.name == "raw" and episode.result.clean and path.name in made]
+    return [
+        path
+        for path, episode in results.items()
+        if path.parent.name == "raw" and episode.result.clean and path.name in made
+    ]
 
 
 def show(path: Path, name: str) -> Show:
@@ -72,9 +99,17 @@ def show(path: Path, name: str) -> Show:
     return Show(name, read_episode(path), read_attachments(path), f"{path.parent.name}/{path.name}")
 
 
-def take(viewer: Headless, folder: Path, shows: list[Show], name: str, *, ghosts: bool = False) -> None:
+def take(
+    viewer: Headless, folder: Path, shows: list[Show], name: str, *, ghosts: bool = False
+) -> None:
     """A picture of one or two episodes under way."""
-    save(viewer, to_rerun(shows, ghosts=ghosts), folder / f"{name}.rrd", SHARE * float(shows[-1].episode.time[-1]), name)
+    save(
+        viewer,
+        to_rerun(shows, ghosts=ghosts),
+        folder / f"{name}.rrd",
+        SHARE * float(shows[-1].episode.time[-1]),
+        name,
+    )
 
 
 def save(viewer: Headless, stream: object, rrd: Path, at: float, name: str) -> None:

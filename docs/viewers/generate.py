@@ -5,9 +5,9 @@ from pathlib import Path
 
 import mujoco
 
-from coordlog.sim.config import EnvConfig
 from coordlog.sim.env import hinges
-from coordlog.sim.scene import SCENES, compose
+from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import SCENES, compose
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
 
 
@@ -15,7 +15,10 @@ def main(folder: Path) -> None:
     """Write `humanoid.rbl` and `humanoid.foxglove.json` into a folder."""
     scene = SCENES["table"]
     arms = [arm.name for arm in scene.robot.arms]
-    joints = [joint["name"] for joint in hinges(mujoco.MjModel.from_xml_string(compose(scene, EnvConfig())))]
+    joints = [
+        joint["name"]
+        for joint in hinges(mujoco.MjModel.from_xml_string(compose(scene, EnvConfig())))
+    ]
     plain_blueprint(arms).save(APPLICATION, str(folder / "humanoid.rbl"))
     layout = json.dumps(foxglove_layout(arms, joints, scene.robot.action_joints), indent=1)
     (folder / "humanoid.foxglove.json").write_text(layout + "\n", encoding="utf-8")

@@ -1,4 +1,5 @@
-"""A scene of one's own is run from its file when a person names it, and never because a log or a policy does."""
+"""A scene of one's own is run from its file when a person names it, and never because a log or a
+policy does."""
 
 from __future__ import annotations
 
@@ -8,11 +9,11 @@ import pytest
 
 from coordlog.commands.environment import scene_of
 from coordlog.errors import ConfigError
-from coordlog.sim.scene import SCENES, find
+from coordlog.tasks.scene import SCENES, find
 
 OWN = """
 from dataclasses import replace
-from coordlog.sim.scene import find
+from coordlog.tasks.scene import find
 
 PLAIN = replace(find("planar"), name="plain")
 """
@@ -35,10 +36,15 @@ def test_a_scene_that_ships_is_found_by_its_name() -> None:
         ("own.py:FANCY", "unknown scene of own.py 'FANCY'; choose one of: PLAIN"),
         ("own.py:find", "unknown scene of own.py 'find'; choose one of: PLAIN"),
         ("none.py:PLAIN", "none.py: cannot be run for its scenes: FileNotFoundError"),
-        ("broken.py:PLAIN", "broken.py: cannot be run for its scenes: ZeroDivisionError: division by zero"),
+        (
+            "broken.py:PLAIN",
+            "broken.py: cannot be run for its scenes: ZeroDivisionError: division by zero",
+        ),
     ],
 )
-def test_what_is_no_scene_is_refused_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str) -> None:
+def test_what_is_no_scene_is_refused_with_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("own.py").write_text(OWN)
     Path("broken.py").write_text("1 / 0")

@@ -21,8 +21,21 @@ def write_run(folder: Path, *, mode: str = "logs", seed: int = 0, rows: int = 3)
     step = 0 if mode == "logs" else 8
     found = []
     for i in range(1, rows + 1):
-        figures = {"episodes": 4, "score": 0.1 * i, "success": 0.2 * i, "clean": 0.1 * i + 0.05 * seed}
-        found.append({"kind": "training", "update": i, "step": step * i, "episodes_total": 4 * i, **(figures if step else {})})
+        figures = {
+            "episodes": 4,
+            "score": 0.1 * i,
+            "success": 0.2 * i,
+            "clean": 0.1 * i + 0.05 * seed,
+        }
+        found.append(
+            {
+                "kind": "training",
+                "update": i,
+                "step": step * i,
+                "episodes_total": 4 * i,
+                **(figures if step else {}),
+            }
+        )
         found.append({"kind": "evaluation", "update": i, "step": step * i, **figures})
     (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in found))
     return folder
@@ -32,7 +45,9 @@ def plot(*args: str | Path) -> None:
     app(["plot", *map(str, args)], standalone_mode=False)
 
 
-def test_runs_become_a_picture_and_replace_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_become_a_picture_and_replace_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     runs = [write_run(tmp_path / str(seed), mode="live", seed=seed) for seed in range(2)]
     out = tmp_path / "deeper" / "curves.png"
     plot(*runs, "--out", out)
@@ -43,20 +58,28 @@ def test_runs_become_a_picture_and_replace_none(tmp_path: Path, capsys: pytest.C
     plot(*runs, "--out", out, "--force", "--against", "steps")
 
 
-def test_what_is_drawn_is_the_mean_over_the_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_drawn_is_the_mean_over_the_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn = []
     monkeypatch.setattr(curves, "save", lambda figure, *_, **__: drawn.append(figure))
     runs = [write_run(tmp_path / "a", mode="live"), write_run(tmp_path / "b", mode="live", seed=1)]
     plot(*runs, tmp_path / "a" / ".." / "a")
     clean = drawn[0].axes[2]
     assert clean.lines[-1].get_xdata().tolist() == [4, 8, 12], "episodes, as every run is live"
-    assert clean.lines[-1].get_ydata() == pytest.approx([0.125, 0.225, 0.325]), "a run named twice counts once"
+    assert clean.lines[-1].get_ydata() == pytest.approx([0.125, 0.225, 0.325]), (
+        "a run named twice counts once"
+    )
     plot(*runs, write_run(tmp_path / "logs"))
     assert drawn[1].axes[0].get_xlabel() == "updates", "as not every run is"
 
 
 def test_bad_input_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    logs, live, empty = write_run(tmp_path / "l"), write_run(tmp_path / "v", mode="live"), write_run(tmp_path / "e", rows=0)
+    logs, live, empty = (
+        write_run(tmp_path / "l"),
+        write_run(tmp_path / "v", mode="live"),
+        write_run(tmp_path / "e", rows=0),
+    )
     episode = next((FIXTURES / "planar").glob("*.mcap"))
     refusals = {
         (tmp_path / "none",): "found nothing of that name",

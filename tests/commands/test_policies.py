@@ -1,4 +1,5 @@
-"""The policies that ship: found, small, without code in them, in the wheel, and acting in the environment they were trained in."""
+"""The policies that ship: found, small, without code in them, in the wheel, and acting in the
+environment they were trained in."""
 
 from __future__ import annotations
 
@@ -14,9 +15,9 @@ from safetensors import safe_open
 from coordlog.commands.environment import make_env
 from coordlog.commands.policies import SHIPPED, make_policy, policy_file, pretrained
 from coordlog.errors import ConfigError, SpecError
-from coordlog.scoring import evaluate
-from coordlog.sim.shield import Shielded
-from coordlog.train.policy import Policy
+from coordlog.policies.damper import Shielded
+from coordlog.policies.learned import Policy
+from coordlog.sim.scoring import evaluate
 
 FILES = sorted(SHIPPED.glob("*.safetensors"))
 
@@ -44,11 +45,19 @@ def test_a_shipped_policy_is_small_and_has_a_card_that_is_its_own(path: Path) ->
 
 
 def test_the_wheel_carries_them(tmp_path: Path) -> None:
-    (wheel,) = WheelBuilder(str(Path(__file__).parents[2])).build(directory=str(tmp_path), versions=["standard"])
+    (wheel,) = WheelBuilder(str(Path(__file__).parents[2])).build(
+        directory=str(tmp_path), versions=["standard"]
+    )
     names = zipfile.ZipFile(wheel).namelist()
     for path in FILES:
-        assert {f"coordlog/policies/{path.name}", f"coordlog/policies/{path.stem}.json"} <= set(names)
-    assert not [name for name in names if name.endswith((".pt", ".pth", ".pkl", ".zip")) or name.startswith(("results", "tests"))]
+        assert {f"coordlog/policies/{path.name}", f"coordlog/policies/{path.stem}.json"} <= set(
+            names
+        )
+    assert not [
+        name
+        for name in names
+        if name.endswith((".pt", ".pth", ".pkl", ".zip")) or name.startswith(("results", "tests"))
+    ]
 
 
 def test_pretrained_means_the_scenes_own_and_says_so_in_the_log() -> None:
@@ -62,8 +71,12 @@ def test_pretrained_means_the_scenes_own_and_says_so_in_the_log() -> None:
     assert all(score.clean for score in evaluate(env, policy, episodes=2, k=2, seed=1))
 
 
-@pytest.mark.parametrize(("shield", "wanted"), [(None, "velocity damper"), (True, "velocity damper"), (False, None)])
-def test_a_policy_that_ships_with_a_shield_acts_behind_it_unless_told_otherwise(shield: bool | None, wanted: str | None) -> None:
+@pytest.mark.parametrize(
+    ("shield", "wanted"), [(None, "velocity damper"), (True, "velocity damper"), (False, None)]
+)
+def test_a_policy_that_ships_with_a_shield_acts_behind_it_unless_told_otherwise(
+    shield: bool | None, wanted: str | None
+) -> None:
     env = make_env("spheres", {}, start="stand", envs=1, threads=1)
     policy, said = make_policy("pretrained", env, shield=shield)
     assert said.get("shield") == wanted
@@ -80,7 +93,9 @@ def test_a_shield_needs_something_to_be_shielded_from() -> None:
 
 
 def test_where_none_ships_the_choices_are_listed() -> None:
-    with pytest.raises(ConfigError, match=r"no policy ships for scene 'planar'; one does for: .*shelf, .*table"):
+    with pytest.raises(
+        ConfigError, match=r"no policy ships for scene 'planar'; one does for: .*shelf, .*table"
+    ):
         policy_file("pretrained", "planar")
 
 

@@ -17,7 +17,9 @@ COORDLOG = [sys.executable, "-m", "coordlog.cli"]
 
 
 def run(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == wanted, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -26,13 +28,46 @@ def run(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
-    run("record", "--scene", "planar", "--episodes", "4", "--envs", "2", "--seed", "5", "--out", folder)
-    run("record", "--scene", "spheres", "--policy", "random", "--episodes", "2", "--out", folder / "deeper")
+    run(
+        "record",
+        "--scene",
+        "planar",
+        "--episodes",
+        "4",
+        "--envs",
+        "2",
+        "--seed",
+        "5",
+        "--out",
+        folder,
+    )
+    run(
+        "record",
+        "--scene",
+        "spheres",
+        "--policy",
+        "random",
+        "--episodes",
+        "2",
+        "--out",
+        folder / "deeper",
+    )
     return folder
 
 
 def test_record_sums_up_what_it_did(tmp_path: Path) -> None:
-    done = run("record", "--scene", "planar", "--policy", "still", "--episodes", "3", "--out", tmp_path, "--json")
+    done = run(
+        "record",
+        "--scene",
+        "planar",
+        "--policy",
+        "still",
+        "--episodes",
+        "3",
+        "--out",
+        tmp_path,
+        "--json",
+    )
     summary = json.loads(done.stdout)
     assert summary["episodes"] == 3
     assert summary["success"] == 0.0
@@ -44,16 +79,35 @@ def test_record_sums_up_what_it_did(tmp_path: Path) -> None:
 def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
     config = tmp_path / "easy.toml"
     config.write_text("[reward]\nkappa = 1.0\n[env]\nmax_steps = 5\n")
-    done = run("record", "--scene", "planar", "--episodes", "1", "--config", config, "--out", tmp_path / "logs")
+    done = run(
+        "record",
+        "--scene",
+        "planar",
+        "--episodes",
+        "1",
+        "--config",
+        config,
+        "--out",
+        tmp_path / "logs",
+    )
     assert "loitering" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (("--scene", "tabel"), "unknown scene 'tabel'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table"),
-        (("--policy", "exprt"), "unknown policy 'exprt'; choose one of: a run folder or policy file, expert, pretrained, random, still"),
-        (("--scene", "planar", "--policy", "pretrained"), "no policy ships for scene 'planar'; one does for: "),
+        (
+            ("--scene", "tabel"),
+            "unknown scene 'tabel'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table",
+        ),
+        (
+            ("--policy", "exprt"),
+            "unknown policy 'exprt'; choose one of: a run folder or policy file, expert, pretrained, random, still",
+        ),
+        (
+            ("--scene", "planar", "--policy", "pretrained"),
+            "no policy ships for scene 'planar'; one does for: ",
+        ),
         (("--split", "val"), "unknown split 'val'; choose one of: test, train"),
         (("--start", "sit"), "unknown start pose 'sit'; choose one of: home, neutral, stand"),
         (("--noise-correlation", "1", "--noise", "1"), "correlation in [0, 1)"),
@@ -61,13 +115,18 @@ def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
         (("--episodes", "0"), "greater than or equal to 1"),
     ],
 )
-def test_record_refuses_bad_input_with_a_sentence(tmp_path: Path, args: tuple[str, ...], said: str) -> None:
+def test_record_refuses_bad_input_with_a_sentence(
+    tmp_path: Path, args: tuple[str, ...], said: str
+) -> None:
     done = run("record", *args, "--out", tmp_path / "logs", wanted=2)
     assert said in " ".join(done.stderr.split())
     assert not list(tmp_path.glob("logs/*"))
 
 
-@pytest.mark.parametrize(("content", "said"), [("[env]\nspeeed = 1", "speeed"), ("[envs]", "unknown table"), ("[env", "expected TOML")])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [("[env]\nspeeed = 1", "speeed"), ("[envs]", "unknown table"), ("[env", "expected TOML")],
+)
 def test_record_refuses_a_bad_configuration(tmp_path: Path, content: str, said: str) -> None:
     (tmp_path / "bad.toml").write_text(content)
     done = run("record", "--config", tmp_path / "bad.toml", "--out", tmp_path / "logs", wanted=2)
@@ -75,8 +134,23 @@ def test_record_refuses_a_bad_configuration(tmp_path: Path, content: str, said: 
 
 
 def test_ctrl_c_closes_open_episodes_and_exits_130(tmp_path: Path) -> None:
-    args = ["record", "--scene", "planar", "--policy", "still", "--episodes", "100000", "--envs", "4", "--out", str(tmp_path), "--json"]
-    process = subprocess.Popen([*COORDLOG, *args], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    args = [
+        "record",
+        "--scene",
+        "planar",
+        "--policy",
+        "still",
+        "--episodes",
+        "100000",
+        "--envs",
+        "4",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
+    process = subprocess.Popen(
+        [*COORDLOG, *args], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     deadline = time.monotonic() + 60
     while len(list(tmp_path.glob("*.mcap"))) < 4 and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -93,8 +167,22 @@ def test_ctrl_c_closes_open_episodes_and_exits_130(tmp_path: Path) -> None:
 def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> None:
     for number in range(3):
         folder = tmp_path / str(number)
-        args = ["record", "--scene", "planar", "--policy", "random", "--episodes", "100000", "--envs", "4", "--out", str(folder)]
-        process = subprocess.Popen([*COORDLOG, *args], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        args = [
+            "record",
+            "--scene",
+            "planar",
+            "--policy",
+            "random",
+            "--episodes",
+            "100000",
+            "--envs",
+            "4",
+            "--out",
+            str(folder),
+        ]
+        process = subprocess.Popen(
+            [*COORDLOG, *args], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         deadline = time.monotonic() + 60
         while len(list(folder.glob("*.mcap"))) < 1 + number and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -105,11 +193,15 @@ def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> 
         assert finished
         assert len(finished) + len(parts) == len(list(folder.iterdir()))
         for part in parts:
-            done = subprocess.run([*COORDLOG, "recover", str(part)], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [*COORDLOG, "recover", str(part)], capture_output=True, text=True, check=False
+            )
             assert done.returncode in (0, 2, 3), done.stderr
             assert "Traceback" not in done.stderr
             recovered = part.with_suffix("")
-            if done.returncode == 2:  # nothing in it yet, or killed between giving the file its name and dropping the other
+            if (
+                done.returncode == 2
+            ):  # nothing in it yet, or killed between giving the file its name and dropping the other
                 assert "nothing to recover" in done.stderr or recovered in finished, done.stderr
             else:
                 finished.append(recovered)
@@ -122,8 +214,24 @@ def test_a_full_disk_is_said_and_leaves_nothing_half_renamed(tmp_path: Path) -> 
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000));"
         "from coordlog.cli import main; sys.argv = ['coordlog', *sys.argv[1:]]; main()"
     )
-    args = ["record", "--scene", "planar", "--policy", "random", "--episodes", "4", "--out", str(tmp_path)]
-    done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, check=False, timeout=120)
+    args = [
+        "record",
+        "--scene",
+        "planar",
+        "--policy",
+        "random",
+        "--episodes",
+        "4",
+        "--out",
+        str(tmp_path),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *args],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert "cannot write" in done.stderr
@@ -131,8 +239,25 @@ def test_a_full_disk_is_said_and_leaves_nothing_half_renamed(tmp_path: Path) -> 
 
 
 def test_two_runs_into_one_folder_at_once_do_not_collide(tmp_path: Path) -> None:
-    args = ["record", "--scene", "planar", "--episodes", "6", "--envs", "3", "--epoch", "0", "--out", str(tmp_path)]
-    both = [subprocess.Popen([*COORDLOG, *args], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    args = [
+        "record",
+        "--scene",
+        "planar",
+        "--episodes",
+        "6",
+        "--envs",
+        "3",
+        "--epoch",
+        "0",
+        "--out",
+        str(tmp_path),
+    ]
+    both = [
+        subprocess.Popen(
+            [*COORDLOG, *args], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(2)
+    ]
     assert [process.communicate(timeout=120)[1] for process in both] == ["", ""]
     assert [process.returncode for process in both] == [0, 0]
     assert len(list(tmp_path.glob("*.mcap"))) == 12
@@ -146,7 +271,9 @@ def test_check_finds_everything_sound(logs: Path) -> None:
     assert report["steps"] > 200
 
 
-def test_check_names_a_foreign_file_in_a_folder_and_refuses_it_alone(logs: Path, tmp_path: Path) -> None:
+def test_check_names_a_foreign_file_in_a_folder_and_refuses_it_alone(
+    logs: Path, tmp_path: Path
+) -> None:
     for path in logs.glob("*.mcap"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     with (tmp_path / "foreign.mcap").open("wb") as stream:
@@ -174,11 +301,15 @@ def test_check_notices_a_log_whose_physics_was_changed(logs: Path, tmp_path: Pat
     action = episode.action.copy()
     action[7, 2] *= 0.5
     forged = replace(episode, action=action)
-    write_episode(tmp_path / "forged.mcap", forged, attachments=read_attachments(source), display=True)
+    write_episode(
+        tmp_path / "forged.mcap", forged, attachments=read_attachments(source), display=True
+    )
     run("check", tmp_path / "forged.mcap", "--level", "content")
     done = run("check", tmp_path / "forged.mcap", "--json", wanted=1)
     finding = json.loads(done.stdout)["findings"][0]
-    assert (finding["level"], finding["step"]) == ("replay", 7), "the altered action first shows in what step 7 led to"
+    assert (finding["level"], finding["step"]) == ("replay", 7), (
+        "the altered action first shows in what step 7 led to"
+    )
     assert finding["path"].endswith("forged.mcap")
 
 

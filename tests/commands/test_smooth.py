@@ -1,4 +1,5 @@
-"""Tests for `coordlog smooth` as a person runs it: outputs that are episodes, resumed batches, inputs that are left alone."""
+"""Tests for `coordlog smooth` as a person runs it: outputs that are episodes, resumed batches,
+inputs that are left alone."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ COORDLOG = [sys.executable, "-m", "coordlog.cli"]
 
 
 def run(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == wanted, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -32,14 +35,27 @@ def said(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.rglob("*.mcap"))}
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*.mcap"))
+    }
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     run("record", "--scene", "table", "--episodes", "2", "--noise", "0.15", "--out", folder)
-    run("record", "--scene", "planar", "--episodes", "2", "--noise", "0.15", "--out", folder / "deeper" / "still")
+    run(
+        "record",
+        "--scene",
+        "planar",
+        "--episodes",
+        "2",
+        "--noise",
+        "0.15",
+        "--out",
+        folder / "deeper" / "still",
+    )
     return folder
 
 
@@ -53,10 +69,14 @@ def smoothed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     return out, json.loads(report.read_text())
 
 
-def test_every_input_gives_one_output_in_the_same_place(logs: Path, smoothed: tuple[Path, dict]) -> None:
+def test_every_input_gives_one_output_in_the_same_place(
+    logs: Path, smoothed: tuple[Path, dict]
+) -> None:
     out, report = smoothed
     assert list(digests(out)) == list(digests(logs))
-    assert set(report["statuses"]) <= {"smoothed", "partly"}, "partly: a log that comes closer than the clearance itself"
+    assert set(report["statuses"]) <= {"smoothed", "partly"}, (
+        "partly: a log that comes closer than the clearance itself"
+    )
     assert sum(report["statuses"].values()) == 4
     assert report["certified"] == 4
     assert report["median"]["jerk"] < 0.2
@@ -70,7 +90,9 @@ def test_outputs_replay_and_are_read_like_any_episode(smoothed: tuple[Path, dict
     assert json.loads(run("info", out, "--json").stdout)["totals"]["success"] == 4
 
 
-def test_an_output_says_where_it_comes_from_and_carries_its_path(logs: Path, smoothed: tuple[Path, dict]) -> None:
+def test_an_output_says_where_it_comes_from_and_carries_its_path(
+    logs: Path, smoothed: tuple[Path, dict]
+) -> None:
     out, _ = smoothed
     source = next(logs.glob("table*.mcap"))
     raw, episode = read_episode(source), read_episode(out / source.name)
@@ -78,7 +100,12 @@ def test_an_output_says_where_it_comes_from_and_carries_its_path(logs: Path, smo
     assert lineage["parents"] == [hashlib.sha256(source.read_bytes()).hexdigest()]
     assert lineage["transform"] == "smooth"
     parameters = lineage["parameters"]
-    assert parameters["settings"] == {"method": "local", "cutoff": "max", "max_deviation": None, "clearance": 0.005}
+    assert parameters["settings"] == {
+        "method": "local",
+        "cutoff": "max",
+        "max_deviation": None,
+        "clearance": 0.005,
+    }
     assert [joint["name"] for joint in parameters["joints"]] == raw.header.env["action_joints"]
     assert all(0 < joint["p"] < 1 for joint in parameters["joints"])
     assert parameters["after"]["jerk"] < parameters["before"]["jerk"]
@@ -94,7 +121,9 @@ def test_an_output_says_where_it_comes_from_and_carries_its_path(logs: Path, smo
     path = episode.path
     assert path is not None
     places = [
-        raw.header.env["joints"][[joint["name"] for joint in raw.header.env["joints"]].index(name)]["qpos"]
+        raw.header.env["joints"][[joint["name"] for joint in raw.header.env["joints"]].index(name)][
+            "qpos"
+        ]
         for name in raw.header.env["action_joints"]
     ]
     assert (path.knot_position == raw.qpos[:, places]).all()
@@ -112,7 +141,9 @@ def test_a_second_run_makes_nothing_again(logs: Path, smoothed: tuple[Path, dict
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")} == before
 
 
-def test_other_settings_do_not_replace_what_is_there_unless_forced(logs: Path, smoothed: tuple[Path, dict], tmp_path: Path) -> None:
+def test_other_settings_do_not_replace_what_is_there_unless_forced(
+    logs: Path, smoothed: tuple[Path, dict], tmp_path: Path
+) -> None:
     source = next(logs.glob("table*.mcap"))
     run("smooth", source, "--out", tmp_path)
     before = digests(tmp_path)
@@ -130,7 +161,9 @@ def test_other_settings_do_not_replace_what_is_there_unless_forced(logs: Path, s
     assert (foreign / source.name).read_bytes() == b"somebody's notes"
 
 
-def test_equal_input_gives_equal_bytes(logs: Path, smoothed: tuple[Path, dict], tmp_path: Path) -> None:
+def test_equal_input_gives_equal_bytes(
+    logs: Path, smoothed: tuple[Path, dict], tmp_path: Path
+) -> None:
     source = next(logs.glob("table*.mcap"))
     run("smooth", source, "--out", tmp_path)
     assert (tmp_path / source.name).read_bytes() == (smoothed[0] / source.name).read_bytes()
@@ -143,7 +176,9 @@ def test_a_dry_run_writes_nothing(logs: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
-def test_a_smoothed_episode_can_be_smoothed_again(smoothed: tuple[Path, dict], tmp_path: Path) -> None:
+def test_a_smoothed_episode_can_be_smoothed_again(
+    smoothed: tuple[Path, dict], tmp_path: Path
+) -> None:
     source = next(smoothed[0].glob("table*.mcap"))
     run("smooth", source, "--out", tmp_path)
     again = read_episode(tmp_path / source.name)
@@ -153,7 +188,9 @@ def test_a_smoothed_episode_can_be_smoothed_again(smoothed: tuple[Path, dict], t
 
 @pytest.mark.parametrize("method", ["shared", "paper"])
 def test_other_methods_write_episodes_too(logs: Path, tmp_path: Path, method: str) -> None:
-    done = json.loads(run("smooth", logs / "deeper", "--out", tmp_path, "--method", method, "--json").stdout)
+    done = json.loads(
+        run("smooth", logs / "deeper", "--out", tmp_path, "--method", method, "--json").stdout
+    )
     assert sum(done["statuses"].values()) == 2
     run("check", tmp_path, "--jobs", "1")
 
@@ -174,7 +211,9 @@ def test_two_inputs_for_one_output_are_refused(logs: Path, tmp_path: Path) -> No
     source = next(logs.glob("table*.mcap"))
     twin = tmp_path / source.name
     twin.write_bytes(source.read_bytes())
-    assert "would both become" in said(run("smooth", source, twin, "--out", tmp_path / "out", wanted=2))
+    assert "would both become" in said(
+        run("smooth", source, twin, "--out", tmp_path / "out", wanted=2)
+    )
 
 
 def test_inputs_that_are_no_use_are_named_and_the_rest_is_done(logs: Path, tmp_path: Path) -> None:
@@ -186,23 +225,52 @@ def test_inputs_that_are_no_use_are_named_and_the_rest_is_done(logs: Path, tmp_p
     (folder / "cut.mcap").write_bytes(source.read_bytes()[:5000])
     (folder / "live.mcap.part").write_bytes(source.read_bytes()[:5000])
     aborted = read_episode(source).with_result(aborted="interrupted")
-    write_episode(folder / "aborted.mcap", aborted, attachments=read_attachments(source), display=False)
+    write_episode(
+        folder / "aborted.mcap", aborted, attachments=read_attachments(source), display=False
+    )
     bare = read_episode(source)
     write_episode(folder / "bare.mcap", bare, attachments={}, display=False)
     lost = bare.qpos.copy()
     lost[-1] = float("nan")
-    write_episode(folder / "lost.mcap", replace(bare, qpos=lost), attachments=read_attachments(source), display=False)
+    write_episode(
+        folder / "lost.mcap",
+        replace(bare, qpos=lost),
+        attachments=read_attachments(source),
+        display=False,
+    )
     done = run("smooth", folder, "--out", out, wanted=3)
-    for name in ("empty.mcap", "cut.mcap", "aborted.mcap", "live.mcap.part", "bare.mcap", "lost.mcap"):
+    for name in (
+        "empty.mcap",
+        "cut.mcap",
+        "aborted.mcap",
+        "live.mcap.part",
+        "bare.mcap",
+        "lost.mcap",
+    ):
         assert name in said(done), name
     assert "no model attached" in said(done)
     assert [path.name for path in out.iterdir()] == ["good.mcap"]
 
 
-def test_a_log_that_cannot_be_made_smoother_keeps_its_steps_and_says_why(logs: Path, tmp_path: Path) -> None:
-    """Held to within a hundred-millionth of a radian, nothing smoother is left: the output is the log, with the reason."""
+def test_a_log_that_cannot_be_made_smoother_keeps_its_steps_and_says_why(
+    logs: Path, tmp_path: Path
+) -> None:
+    """Held to within a hundred-millionth of a radian, nothing smoother is left: the output is the
+    log, with the reason."""
     source = next(logs.glob("table*.mcap"))
-    done = run("smooth", source, "--out", tmp_path, "--max-deviation", "1e-8", "--cutoff", "0.2", "--method", "shared", wanted=3)
+    done = run(
+        "smooth",
+        source,
+        "--out",
+        tmp_path,
+        "--max-deviation",
+        "1e-8",
+        "--cutoff",
+        "0.2",
+        "--method",
+        "shared",
+        wanted=3,
+    )
     assert "kept_raw" in said(done)
     raw, kept = read_episode(source), read_episode(tmp_path / source.name)
     assert (kept.action == raw.action).all()
@@ -216,13 +284,32 @@ def test_a_log_that_cannot_be_made_smoother_keeps_its_steps_and_says_why(logs: P
 
 def test_a_falling_log_is_called_infeasible(tmp_path: Path) -> None:
     (tmp_path / "wild.toml").write_text("[env]\nshared_speed = 2.0\nsmoothing = 0.0\n")
-    run("record", "--scene", "free", "--policy", "random", "--episodes", "1", "--config", tmp_path / "wild.toml", "--out", tmp_path / "in")
+    run(
+        "record",
+        "--scene",
+        "free",
+        "--policy",
+        "random",
+        "--episodes",
+        "1",
+        "--config",
+        tmp_path / "wild.toml",
+        "--out",
+        tmp_path / "in",
+    )
     (source,) = (tmp_path / "in").glob("*.mcap")
     assert read_episode(source).instability.any(), "it must fall, or the test shows nothing"
-    done = subprocess.run([*COORDLOG, "smooth", source, "--out", tmp_path / "out", "--json"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*COORDLOG, "smooth", source, "--out", tmp_path / "out", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     report = json.loads(done.stdout)
     (row,) = report["rows"]
-    assert row["status"] == "raw_infeasible", "whether or not its execution is a better fall, it is not safe"
+    assert row["status"] == "raw_infeasible", (
+        "whether or not its execution is a better fall, it is not safe"
+    )
     assert row["reason"]
     assert done.returncode == (3 if row["parameters"]["steps_of"] == "log" else 0)
     assert "Infinity" not in json.dumps(report)
@@ -239,15 +326,29 @@ def test_a_falling_log_is_called_infeasible(tmp_path: Path) -> None:
         (("--clearance", "-0.1"), "clearance"),
     ],
 )
-def test_bad_options_are_refused_with_a_sentence(logs: Path, tmp_path: Path, args: tuple[str, ...], wanted: str) -> None:
+def test_bad_options_are_refused_with_a_sentence(
+    logs: Path, tmp_path: Path, args: tuple[str, ...], wanted: str
+) -> None:
     assert wanted in said(run("smooth", logs, "--out", tmp_path / "out", *args, wanted=2))
     assert not (tmp_path / "out").exists()
 
 
 def test_a_missing_input_and_a_taken_report_are_refused(logs: Path, tmp_path: Path) -> None:
-    assert "no such file" in said(run("smooth", tmp_path / "none", "--out", tmp_path / "out", wanted=2))
+    assert "no such file" in said(
+        run("smooth", tmp_path / "none", "--out", tmp_path / "out", wanted=2)
+    )
     (tmp_path / "report.json").write_text("{}")
-    assert "not overwritten" in said(run("smooth", logs, "--out", tmp_path / "out", "--report", tmp_path / "report.json", wanted=2))
+    assert "not overwritten" in said(
+        run(
+            "smooth",
+            logs,
+            "--out",
+            tmp_path / "out",
+            "--report",
+            tmp_path / "report.json",
+            wanted=2,
+        )
+    )
 
 
 def many(logs: Path, folder: Path, count: int) -> Path:
@@ -257,12 +358,19 @@ def many(logs: Path, folder: Path, count: int) -> Path:
     folder.mkdir()
     for i in range(count):
         header = replace(episode.header, episode=episode.header.episode | {"index": i})
-        write_episode(folder / f"{i:02d}.mcap", replace(episode, header=header), attachments=attachments, display=False)
+        write_episode(
+            folder / f"{i:02d}.mcap",
+            replace(episode, header=header),
+            attachments=attachments,
+            display=False,
+        )
     return folder
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(logs: Path, tmp_path: Path, jobs: str) -> None:
+def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(
+    logs: Path, tmp_path: Path, jobs: str
+) -> None:
     folder, out = many(logs, tmp_path / "in", 24), tmp_path / "out"
     process = subprocess.Popen(
         [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", jobs],
@@ -288,7 +396,9 @@ def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(logs: Path, tmp
 def test_a_killed_batch_goes_on_where_it_stopped(logs: Path, tmp_path: Path) -> None:
     folder, out = many(logs, tmp_path / "in", 6), tmp_path / "out"
     process = subprocess.Popen(
-        [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", "1"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", "1"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 60
     while len(list(out.glob("*.mcap"))) < 2 and time.monotonic() < deadline:

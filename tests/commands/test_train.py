@@ -14,15 +14,24 @@ import torch
 from coordlog.cli import app
 from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
+from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
 from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
 from coordlog.train.networks import Actor
-from coordlog.train.policy import Policy
 from coordlog.train.run import require_same
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
-SMALL = ["--set", "network.hidden=[32,32]", "--set", "replay.batch=32", "--eval-episodes", "4", "--envs", "4"]
+SMALL = [
+    "--set",
+    "network.hidden=[32,32]",
+    "--set",
+    "replay.batch=32",
+    "--eval-episodes",
+    "4",
+    "--envs",
+    "4",
+]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +42,9 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False, env=environment)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=240, check=False, env=environment
+    )
     assert done.returncode == wanted, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -42,7 +53,9 @@ def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> subprocess.Comp
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
     folder = tmp_path_factory.mktemp("logs")
-    coordlog(cache, "record", "--scene", "planar", "--episodes", "12", "--noise", "0.2", "--out", folder)
+    coordlog(
+        cache, "record", "--scene", "planar", "--episodes", "12", "--noise", "0.2", "--out", folder
+    )
     return folder
 
 
@@ -50,50 +63,109 @@ def rows(folder: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_a_run_from_logs_explains_itself_and_its_policy_acts(cache: Path, logs: Path, tmp_path: Path) -> None:
+def test_a_run_from_logs_explains_itself_and_its_policy_acts(
+    cache: Path, logs: Path, tmp_path: Path
+) -> None:
     run = tmp_path / "run"
     dearer = ["--set", "reward.n1=2.5", "--set", "env.max_steps=140"]
-    done = coordlog(cache, "train", "--from", logs, "--updates", "60", "--eval-every", "30", *SMALL, *dearer, "--out", run)
+    done = coordlog(
+        cache,
+        "train",
+        "--from",
+        logs,
+        "--updates",
+        "60",
+        "--eval-every",
+        "30",
+        *SMALL,
+        *dearer,
+        "--out",
+        run,
+    )
     assert "finished after 60 updates" in done.stdout
     said = json.loads((run / "run.json").read_text())
     assert (said["scene"], said["mode"], said["log_episodes"]) == ("planar", "logs", 12)
     assert said["versions"]["torch"]
-    assert (said["env"]["reward"]["n1"], said["env"]["config"]["max_steps"]) == (2.5, 140), "--set reaches [reward] and [env], too"
+    assert (said["env"]["reward"]["n1"], said["env"]["config"]["max_steps"]) == (2.5, 140), (
+        "--set reaches [reward] and [env], too"
+    )
     assert len((run / "data.lock").read_text().splitlines()) == 12
     assert [row["update"] for row in rows(run) if row["kind"] == "evaluation"] == [30, 60]
     evaluations = open_logs(run / "episodes")
     assert len(evaluations) == 8
     assert {episode.header.episode["split"] for episode in evaluations} == {"test"}
     coordlog(cache, "check", run / "episodes", "--jobs", "1")
-    done = coordlog(cache, "record", "--policy", run, "--split", "test", "--episodes", "2", "--out", tmp_path / "again", "--json")
+    done = coordlog(
+        cache,
+        "record",
+        "--policy",
+        run,
+        "--split",
+        "test",
+        "--episodes",
+        "2",
+        "--out",
+        tmp_path / "again",
+        "--json",
+    )
     assert json.loads(done.stdout)["episodes"] == 2
     header = open_logs(tmp_path / "again")[0].header
     assert header.episode["scene"] == "planar"
     assert len(header.policy["checkpoint_sha256"]) == 64
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_been(cache: Path, logs: Path, tmp_path: Path) -> None:
-    """Logs and live steps together, resumed with a larger budget; that one resumed with its own is the same bit for bit, test_loop asks."""
-    both = ["train", "--from", logs, "--live", *SMALL, "--set", "replay.warmup=64", "--set", "loop.metrics_every=20", "--eval-every", "0"]
+def test_a_stopped_run_goes_on_as_if_it_had_not_been(
+    cache: Path, logs: Path, tmp_path: Path
+) -> None:
+    """Logs and live steps together, resumed with a larger budget.
+
+    That one resumed with its own is the same bit for bit, test_loop asks.
+    """
+    both = [
+        "train",
+        "--from",
+        logs,
+        "--live",
+        *SMALL,
+        "--set",
+        "replay.warmup=64",
+        "--set",
+        "loop.metrics_every=20",
+        "--eval-every",
+        "0",
+    ]
     both += ["--set", "loop.updates_per_step=0.25", "--set", "loop.checkpoint_every=20"]
-    coordlog(cache, *both, "--steps", "800", "--out", tmp_path / "whole")  # without a word on updates: as many as the steps earn
+    coordlog(
+        cache, *both, "--steps", "800", "--out", tmp_path / "whole"
+    )  # without a word on updates: as many as the steps earn
     coordlog(cache, *both, "--updates", "0", "--steps", "416", "--out", tmp_path / "parts")
-    coordlog(cache, *both, "--updates", "0", "--steps", "800", "--out", tmp_path / "parts", "--resume")
+    coordlog(
+        cache, *both, "--updates", "0", "--steps", "800", "--out", tmp_path / "parts", "--resume"
+    )
 
     def comparable(folder: Path) -> dict[object, dict[str, object]]:
         progress = {"noise", "behaviour_weight"}
-        return {row["update"]: {key: value for key, value in row.items() if key not in {*TIMING, *progress}} for row in rows(folder)}
+        return {
+            row["update"]: {
+                key: value for key, value in row.items() if key not in {*TIMING, *progress}
+            }
+            for row in rows(folder)
+        }
 
     whole, parts = comparable(tmp_path / "whole"), comparable(tmp_path / "parts")
     assert max(whole) == max(parts) > 100
     assert whole[max(whole)].keys() == parts[max(parts)].keys()
     names = sorted(path.name.rsplit("-", 1)[0] for path in (tmp_path / "parts").rglob("*.mcap"))
-    assert [int(name.rsplit("-", 1)[1]) for name in names] == list(range(len(names))), "every episode, none twice"
+    assert [int(name.rsplit("-", 1)[1]) for name in names] == list(range(len(names))), (
+        "every episode, none twice"
+    )
     coordlog(cache, "check", tmp_path / "parts" / "episodes", "--jobs", "1", wanted=0)
 
 
 def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
-    actor = Actor(35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0))
+    actor = Actor(
+        35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0)
+    )
     policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
     envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
@@ -112,45 +184,90 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         (("--from", "nowhere"), "no such file or folder"),
         (("--from", Path(__file__).parent), "found none"),
         (("--from", FIXTURES), "layouts"),
-        (("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"), "logs of several scenes (shelf, table)"),
-        (("--from", FIXTURES / "table", "--scene", "planar"), "scene 'planar': its robot is not that of the other logs"),
-        (("--from", FIXTURES / "table", "--where", "cleen"), "--where: expected an SQL condition over"),
+        (
+            ("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"),
+            "logs of several scenes (shelf, table)",
+        ),
+        (
+            ("--from", FIXTURES / "table", "--scene", "planar"),
+            "scene 'planar': its robot is not that of the other logs",
+        ),
+        (
+            ("--from", FIXTURES / "table", "--where", "cleen"),
+            "--where: expected an SQL condition over",
+        ),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
         (("--scene", "planar"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
-        (("--scene", "planar", "--steps", "64", "--set", "reward.n3=1"), "unknown RewardConfig key 'n3'"),
+        (
+            ("--scene", "planar", "--steps", "64", "--set", "reward.n3=1"),
+            "unknown RewardConfig key 'n3'",
+        ),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
         (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
     ],
 )
 def test_bad_input_is_refused_with_a_sentence(
-    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str | Path, ...], said: str
+    cache: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    args: tuple[str | Path, ...],
+    said: str,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    with pytest.raises(CoordlogError) as refusal:  # in this process: starting one takes longer than refusing
-        app(["train", *map(str, args), "--out", str(tmp_path / "run"), "--jobs", "1"], standalone_mode=False)
+    with pytest.raises(
+        CoordlogError
+    ) as refusal:  # in this process: starting one takes longer than refusing
+        app(
+            ["train", *map(str, args), "--out", str(tmp_path / "run"), "--jobs", "1"],
+            standalone_mode=False,
+        )
     assert said in str(refusal.value)
     assert refusal.value.exit_code == 2
-    assert not (tmp_path / "run" / "run.json").exists(), "the folder is still free for the corrected command"
+    assert not (tmp_path / "run" / "run.json").exists(), (
+        "the folder is still free for the corrected command"
+    )
 
 
-def test_a_run_is_not_overwritten_and_not_resumed_as_another(cache: Path, logs: Path, tmp_path: Path) -> None:
+def test_a_run_is_not_overwritten_and_not_resumed_as_another(
+    cache: Path, logs: Path, tmp_path: Path
+) -> None:
     run = tmp_path / "run"
     small = ["--from", logs, "--updates", "10", "--eval-every", "0", *SMALL, "--out", run]
     coordlog(cache, "train", *small)
     assert "holds a run already" in coordlog(cache, "train", *small, wanted=2).stderr
-    assert "its seed was 0 and is now 1" in coordlog(cache, "train", *small, "--seed", "1", "--resume", wanted=2).stderr
+    assert (
+        "its seed was 0 and is now 1"
+        in coordlog(cache, "train", *small, "--seed", "1", "--resume", wanted=2).stderr
+    )
     other = {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.2}}}
     with pytest.raises(CoordlogError, match=r"its env\.config\.tilt was 1\.2 and is now 1\.5"):
-        require_same(other, {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.5}}}, folder=run)
+        require_same(
+            other, {"scene": "planar", "env": {"config": {"speed": 1.0, "tilt": 1.5}}}, folder=run
+        )
 
 
 def test_a_run_killed_before_its_first_checkpoint_begins_again(
-    cache: Path, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cache: Path,
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     run = tmp_path / "run"
-    small = ["train", "--from", str(logs), "--updates", "10", "--eval-every", "10", *SMALL, "--out", str(run)]
+    small = [
+        "train",
+        "--from",
+        str(logs),
+        "--updates",
+        "10",
+        "--eval-every",
+        "10",
+        *SMALL,
+        "--out",
+        str(run),
+    ]
     app(small, standalone_mode=False)
     first = [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)]
     episodes = sorted(run.rglob("*.mcap"))
@@ -160,15 +277,24 @@ def test_a_run_killed_before_its_first_checkpoint_begins_again(
         app([*small, "--resume", "--set", "behaviour.weight=1.0"], standalone_mode=False)
     app([*small, "--resume"], standalone_mode=False)
     assert "begins again" in capsys.readouterr().err
-    assert [{key: value for key, value in row.items() if key not in TIMING} for row in rows(run)] == first
+    assert [
+        {key: value for key, value in row.items() if key not in TIMING} for row in rows(run)
+    ] == first
     assert sorted(run.rglob("*.mcap")) == episodes
     assert (run / "checkpoint.safetensors").exists()
 
 
-def test_a_broken_log_is_named_and_left_out_when_asked(cache: Path, logs: Path, tmp_path: Path) -> None:
+def test_a_broken_log_is_named_and_left_out_when_asked(
+    cache: Path, logs: Path, tmp_path: Path
+) -> None:
     for path in list(logs.glob("*.mcap"))[:2]:
         (tmp_path / path.name).write_bytes(path.read_bytes())
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:9000])
     small = ["--from", tmp_path, "--updates", "10", "--eval-every", "0", *SMALL]
     assert "cut.mcap" in coordlog(cache, "train", *small, "--out", tmp_path / "a", wanted=2).stderr
-    assert "cut.mcap" in coordlog(cache, "train", *small, "--skip-broken", "--out", tmp_path / "b", wanted=3).stderr
+    assert (
+        "cut.mcap"
+        in coordlog(
+            cache, "train", *small, "--skip-broken", "--out", tmp_path / "b", wanted=3
+        ).stderr
+    )

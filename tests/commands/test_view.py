@@ -1,4 +1,7 @@
-"""Tests for `coordlog view`, as a person runs it; pictures need software Vulkan, recordings do not."""
+"""Tests for `coordlog view`, as a person runs it.
+
+Pictures need software Vulkan, recordings do not.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ TABLE = sorted((DATA / "table").glob("*.mcap"))
 
 def view(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "coordlog.cli", "view", *map(str, args)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=None)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, check=False, env=None
+    )
     assert done.returncode == wanted, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -69,7 +74,10 @@ def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
     assert "with its sibling" in view(raw, "--no-open").stderr
 
 
-@pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="no Vulkan driver: install mesa-vulkan-drivers")
+@pytest.mark.skipif(
+    not list(Path("/usr/share/vulkan/icd.d").glob("*.json")),
+    reason="no Vulkan driver: install mesa-vulkan-drivers",
+)
 def test_a_picture_needs_no_display(tmp_path: Path) -> None:
     view(TABLE[0], "--screenshot", tmp_path / "table.png", "--at", "1.5")
     assert (tmp_path / "table.png").stat().st_size > 50_000

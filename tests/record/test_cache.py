@@ -1,4 +1,5 @@
-"""Tests for the cache of decoded columns: it never changes what is read, and nothing is decoded twice."""
+"""Tests for the cache of decoded columns: it never changes what is read, and nothing is decoded
+twice."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ class Decoding:
     def __init__(self) -> None:
         self.files: list[str] = []
 
-    def __call__(self, build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]) -> Iterator[Built]:
+    def __call__(
+        self, build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
+    ) -> Iterator[Built]:
         for group in groups:
             self.files += [path.name for path in group]
             yield build(group)
@@ -37,9 +40,15 @@ def test_columns_are_those_of_the_files_in_their_order(tmp_path: Path) -> None:
     logs, _ = loaded(FILES, tmp_path)
     table = open_logs(FILES).to_table()
     for name in ("state", "action", "distance", "collision", "terminated"):
-        assert logs.steps.column(name).combine_chunks().equals(table.column(name).combine_chunks()), name
-    assert [Path(file).name for file in logs.episodes.column("file").to_pylist()] == [path.name for path in FILES]
-    assert logs.episodes.column("length").to_pylist() == [len(episode) for episode in open_logs(FILES)]
+        assert (
+            logs.steps.column(name).combine_chunks().equals(table.column(name).combine_chunks())
+        ), name
+    assert [Path(file).name for file in logs.episodes.column("file").to_pylist()] == [
+        path.name for path in FILES
+    ]
+    assert logs.episodes.column("length").to_pylist() == [
+        len(episode) for episode in open_logs(FILES)
+    ]
 
 
 def test_only_new_files_are_decoded_and_a_deleted_cache_only_costs_time(tmp_path: Path) -> None:
@@ -55,7 +64,9 @@ def test_only_new_files_are_decoded_and_a_deleted_cache_only_costs_time(tmp_path
     assert decoded == names
     for logs in (again, anew):
         assert logs.steps.combine_chunks().equals(whole.steps.combine_chunks())
-    assert first.steps.combine_chunks().equals(whole.steps.slice(0, first.steps.num_rows).combine_chunks())
+    assert first.steps.combine_chunks().equals(
+        whole.steps.slice(0, first.steps.num_rows).combine_chunks()
+    )
 
 
 def test_a_subset_in_another_order_is_read_from_the_same_shards(tmp_path: Path) -> None:
@@ -63,7 +74,9 @@ def test_a_subset_in_another_order_is_read_from_the_same_shards(tmp_path: Path) 
     some, decoded = loaded([FILES[2], FILES[0]], tmp_path)
     assert decoded == []
     wanted = whole.select([2, 0])
-    np.testing.assert_array_equal(some.steps.column("terminated"), wanted.steps.column("terminated"))
+    np.testing.assert_array_equal(
+        some.steps.column("terminated"), wanted.steps.column("terminated")
+    )
     assert some.steps.column("state").to_pylist() == wanted.steps.column("state").to_pylist()
 
 

@@ -1,4 +1,5 @@
-"""The codec against mcap-ros2-support, which decodes from the schema text alone and knows nothing of our layout."""
+"""The codec against mcap-ros2-support, which decodes from the schema text alone and knows nothing
+of our layout."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ def random_columns(rng, message, layout, n, contacts):
     for item in message.fields:
         width = contacts if item.size == "c" else layout.width(item)
         shape = (n,) if width is None else (n, width)
-        columns[item.name] = rng.integers(0, 256, (*shape, np.dtype(item.type).itemsize), np.uint8).view(item.type)[..., 0]
+        columns[item.name] = rng.integers(
+            0, 256, (*shape, np.dtype(item.type).itemsize), np.uint8
+        ).view(item.type)[..., 0]
         if item.type == "bool":
             columns[item.name] = rng.random(shape) < 0.5
         if item.type.startswith("float"):
@@ -33,7 +36,12 @@ def encoded(codec, columns, n):
     return rows
 
 
-@given(layout=layouts, contacts=st.integers(1, 7), message=st.sampled_from(MESSAGES), seed=st.integers(0, 2**32))
+@given(
+    layout=layouts,
+    contacts=st.integers(1, 7),
+    message=st.sampled_from(MESSAGES),
+    seed=st.integers(0, 2**32),
+)
 def test_an_independent_decoder_reads_what_was_encoded(layout, contacts, message, seed):
     columns = random_columns(np.random.default_rng(seed), message, layout, 3, contacts)
     codec = message_codec(message, layout, contacts)
@@ -45,16 +53,29 @@ def test_an_independent_decoder_reads_what_was_encoded(layout, contacts, message
             assert np.array_equal(getattr(got, item.name), columns[item.name][index]), item.name
 
 
-@given(layout=layouts, contacts=st.integers(1, 7), message=st.sampled_from(MESSAGES), seed=st.integers(0, 2**32))
+@given(
+    layout=layouts,
+    contacts=st.integers(1, 7),
+    message=st.sampled_from(MESSAGES),
+    seed=st.integers(0, 2**32),
+)
 def test_an_independent_encoder_writes_the_same_bytes(layout, contacts, message, seed):
     columns = random_columns(np.random.default_rng(seed), message, layout, 2, contacts)
     rows = encoded(message_codec(message, layout, contacts), columns, 2)
     encode = serialize_dynamic(message.name, SCHEMAS[message.name])[message.name]
     for index, row in enumerate(rows):
-        assert encode({name: column[index].tolist() for name, column in columns.items()}) == row.tobytes()
+        assert (
+            encode({name: column[index].tolist() for name, column in columns.items()})
+            == row.tobytes()
+        )
 
 
-@given(layout=layouts, contacts=st.integers(1, 7), message=st.sampled_from(MESSAGES), seed=st.integers(0, 2**32))
+@given(
+    layout=layouts,
+    contacts=st.integers(1, 7),
+    message=st.sampled_from(MESSAGES),
+    seed=st.integers(0, 2**32),
+)
 def test_decoding_inverts_encoding_bit_for_bit(layout, contacts, message, seed):
     columns = random_columns(np.random.default_rng(seed), message, layout, 4, contacts)
     codec = message_codec(message, layout, contacts)
@@ -65,7 +86,10 @@ def test_decoding_inverts_encoding_bit_for_bit(layout, contacts, message, seed):
         assert decoded[name].tobytes() == column.tobytes(), name
 
 
-@given(names=st.lists(st.text("abcdefgh_µ", min_size=1, max_size=9), max_size=8), seed=st.integers(0, 2**32))
+@given(
+    names=st.lists(st.text("abcdefgh_µ", min_size=1, max_size=9), max_size=8),
+    seed=st.integers(0, 2**32),
+)
 def test_joint_state_reads_independently(names, seed):
     rng = np.random.default_rng(seed)
     columns = {"sec": np.array([1_700_000_000]), "nanosec": np.array([999_999_999])}
@@ -74,7 +98,11 @@ def test_joint_state_reads_independently(names, seed):
         encoded(joint_state_codec(tuple(names)), columns, 1).tobytes()
     )
     assert got.name == names
-    assert (got.header.stamp.sec, got.header.stamp.nanosec, got.header.frame_id) == (1_700_000_000, 999_999_999, "")
+    assert (got.header.stamp.sec, got.header.stamp.nanosec, got.header.frame_id) == (
+        1_700_000_000,
+        999_999_999,
+        "",
+    )
     assert got.position == columns["position"][0].tolist()
     assert got.velocity == columns["velocity"][0].tolist()
     assert got.effort == []
@@ -97,7 +125,9 @@ def test_every_constant_byte_is_verified_and_named():
 def test_a_bool_that_is_neither_0_nor_1_is_refused():
     layout = Layout(1, 1, 1, 1, 1)
     codec = message_codec(STEP, layout)
-    damaged = bytearray(encoded(codec, random_columns(np.random.default_rng(1), STEP, layout, 1, 0), 1).tobytes())
+    damaged = bytearray(
+        encoded(codec, random_columns(np.random.default_rng(1), STEP, layout, 1, 0), 1).tobytes()
+    )
     damaged[-1] = 2
     with pytest.raises(FormatError, match="bool"):
         codec.decode(np.frombuffer(damaged, codec.dtype))

@@ -4,7 +4,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from mcap.opcode import Opcode
-from synthetic import ATTACHMENTS, PLANAR, TINY, assert_same, make_episode, make_header, outcome
 from test_reader import bad_files
 
 from coordlog.errors import FormatError, SpecError, StorageError, TruncatedError
@@ -12,12 +11,22 @@ from coordlog.record import dataset
 from coordlog.record.records import walk
 from coordlog.record.writer import write_episode
 from coordlog.spec import STEP
+from tests.synthetic import (
+    ATTACHMENTS,
+    PLANAR,
+    TINY,
+    assert_same,
+    make_episode,
+    make_header,
+    outcome,
+)
 
 
 @pytest.fixture
 def episodes(rng):
     return [
-        make_episode(rng, length=length, ending=ending) for length, ending in ((30, "goal"), (1, "fall"), (77, "limit"), (0, "stopped"))
+        make_episode(rng, length=length, ending=ending)
+        for length, ending in ((30, "goal"), (1, "fall"), (77, "limit"), (0, "stopped"))
     ]
 
 
@@ -34,7 +43,12 @@ def folder(tmp_path, episodes):
 
 def test_a_folder_is_a_sequence_of_episodes_in_the_order_of_names(folder, episodes):
     opened = dataset.open(folder)
-    assert [path.relative_to(folder).as_posix() for path in opened.paths] == ["a.mcap", "b.mcap", "c/a.mcap", "d.mcap"]
+    assert [path.relative_to(folder).as_posix() for path in opened.paths] == [
+        "a.mcap",
+        "b.mcap",
+        "c/a.mcap",
+        "d.mcap",
+    ]
     assert len(opened) == 4
     assert opened.parts == (folder / "e.mcap.part",)
     assert opened.skipped == []
@@ -58,13 +72,18 @@ def test_the_table_has_every_step_bit_for_bit(folder, episodes):
     assert table["episode"].to_pylist() == [0] * 30 + [1] + [2] * 77
     assert table["step"].to_pylist() == [*range(30), 0, *range(77)]
     for item in STEP.fields[1:]:
-        wanted = np.concatenate([getattr(episode, item.name)[: len(episode)] for episode in episodes])
+        wanted = np.concatenate(
+            [getattr(episode, item.name)[: len(episode)] for episode in episodes]
+        )
         column = table[item.name].combine_chunks()
         if isinstance(column, pa.FixedSizeListArray):
             assert column.type.list_size == wanted.shape[1]
             column = column.flatten()
         assert np.asarray(column).astype(item.type).tobytes() == wanted.tobytes(), item.name
-        assert table.schema.field(item.name).metadata == {b"unit": item.unit.encode(), b"doc": item.doc.encode()}
+        assert table.schema.field(item.name).metadata == {
+            b"unit": item.unit.encode(),
+            b"doc": item.doc.encode(),
+        }
 
 
 def test_the_table_lies_over_the_decoded_arrays():
@@ -80,7 +99,9 @@ def test_finals_have_a_row_per_episode(folder, episodes):
     finals.validate(full=True)
     assert finals["file"].to_pylist() == [str(path) for path in dataset.open(folder).paths]
     for name in ("length", "success", "clean", "terminated", "truncated", "aborted", "digest"):
-        assert finals[name].to_pylist() == [getattr(episode.result, name) for episode in episodes], name
+        assert finals[name].to_pylist() == [
+            getattr(episode.result, name) for episode in episodes
+        ], name
     assert finals["returns"].to_pylist() == [list(episode.result.returns) for episode in episodes]
     for name in ("time", "qpos", "qvel", "state"):
         assert np.array(finals[name].to_pylist(), getattr(episodes[0], name).dtype).tolist() == [
@@ -89,11 +110,16 @@ def test_finals_have_a_row_per_episode(folder, episodes):
 
 
 def test_many_files_are_decoded_in_groups(tmp_path, rng):
-    wanted = [make_episode(rng, length=int(rng.integers(1, 9)), layout=TINY, header=make_header(TINY)) for _ in range(40)]
+    wanted = [
+        make_episode(rng, length=int(rng.integers(1, 9)), layout=TINY, header=make_header(TINY))
+        for _ in range(40)
+    ]
     for index, episode in enumerate(wanted):
         write_episode(tmp_path / f"{index:02}.mcap", episode, attachments={}, display=False)
     table = dataset.open(tmp_path).to_table()
-    assert np.array_equal(table["episode"], np.repeat(np.arange(40), [len(episode) for episode in wanted]))
+    assert np.array_equal(
+        table["episode"], np.repeat(np.arange(40), [len(episode) for episode in wanted])
+    )
     assert np.array_equal(table["time"], np.concatenate([episode.time[:-1] for episode in wanted]))
 
 
@@ -121,7 +147,10 @@ def test_a_file_found_damaged_while_reading_is_named_or_skipped(folder):
         list(dataset.open(folder))
     with pytest.raises(FormatError, match=r"c/a\.mcap: chunk"):
         dataset.open(folder).to_table()
-    for use in (lambda opened: [len(episode) for episode in opened], lambda opened: opened.finals()["length"].to_pylist()):
+    for use in (
+        lambda opened: [len(episode) for episode in opened],
+        lambda opened: opened.finals()["length"].to_pylist(),
+    ):
         opened = dataset.open(folder, skip_broken=True)
         assert use(opened) == [30, 1, 0]
         assert [skipped.path for skipped in opened.skipped] == [folder / "c" / "a.mcap"]
@@ -133,12 +162,18 @@ def test_one_file_with_wrong_messages_does_not_spoil_its_group(tmp_path, rng):
     from coordlog.record.writer import EpisodeWriter
 
     for name in "ac":
-        write_episode(tmp_path / f"{name}.mcap", make_episode(rng, length=3), attachments={}, display=False)
+        write_episode(
+            tmp_path / f"{name}.mcap", make_episode(rng, length=3), attachments={}, display=False
+        )
     wrong = make_episode(rng, length=3)
     with EpisodeWriter(tmp_path / "b.mcap", wrong.header, attachments={}, display=False) as writer:
         writer._tally.length = 7
-        writer.write_steps(7, {item.name: getattr(wrong, item.name)[:3] for item in STEP.fields[1:]})
-        writer.finish({name: getattr(wrong, name)[-1] for name in ("time", "qpos", "qvel", "state")})
+        writer.write_steps(
+            7, {item.name: getattr(wrong, item.name)[:3] for item in STEP.fields[1:]}
+        )
+        writer.finish(
+            {name: getattr(wrong, name)[-1] for name in ("time", "qpos", "qvel", "state")}
+        )
     opened = dataset.open(tmp_path, skip_broken=True)
     assert opened.to_table()["episode"].to_pylist() == [0] * 3 + [2] * 3
     assert [skipped.path.name for skipped in opened.skipped] == ["b.mcap"]
@@ -148,10 +183,18 @@ def test_one_file_with_wrong_messages_does_not_spoil_its_group(tmp_path, rng):
 
 def test_different_robots_are_not_mixed_in_a_table(tmp_path, rng):
     write_episode(tmp_path / "a.mcap", make_episode(rng, length=2), attachments={}, display=False)
-    write_episode(tmp_path / "b.mcap", make_episode(rng, length=2, layout=PLANAR), attachments={}, display=False)
+    write_episode(
+        tmp_path / "b.mcap",
+        make_episode(rng, length=2, layout=PLANAR),
+        attachments={},
+        display=False,
+    )
     opened = dataset.open(tmp_path)
     assert [episode.header.layout.k for episode in opened] == [2, 3]
-    with pytest.raises(SpecError, match=r"b\.mcap: expected the layout of a\.mcap, .*k=2.*, got .*k=3.*; open them as separate sets"):
+    with pytest.raises(
+        SpecError,
+        match=r"b\.mcap: expected the layout of a\.mcap, .*k=2.*, got .*k=3.*; open them as separate sets",
+    ):
         opened.to_table()
 
 
@@ -178,7 +221,12 @@ def test_a_message_index_that_points_elsewhere_is_never_believed(tmp_path, rng):
     data = path.read_bytes()
     wanted = dataset.open(path).to_table()
     refused = 0
-    places = [at for span in walk(data) if span.opcode == Opcode.MESSAGE_INDEX for at in range(span.start, span.end)]
+    places = [
+        at
+        for span in walk(data)
+        if span.opcode == Opcode.MESSAGE_INDEX
+        for at in range(span.start, span.end)
+    ]
     with open(path, "r+b", buffering=0) as stream:
         for at in places:
             os.pwrite(stream.fileno(), bytes([data[at] ^ 1 << int(rng.integers(0, 8))]), at)

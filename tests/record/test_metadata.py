@@ -4,11 +4,19 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic import make_header
 
 from coordlog.episode import Result
 from coordlog.errors import FormatError, SpecError
-from coordlog.record.metadata import HEADER_RECORDS, decode, decode_header, decode_result, encode, encode_header, encode_result
+from coordlog.record.metadata import (
+    HEADER_RECORDS,
+    decode,
+    decode_header,
+    decode_result,
+    encode,
+    encode_header,
+    encode_result,
+)
+from tests.synthetic import make_header
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -30,13 +38,20 @@ def test_floats_keep_every_bit(value):
     assert decoded.hex() == value.hex()
 
 
-@pytest.mark.parametrize("text", ["", "5", "1e999", "null", "true", '"quoted"', "NaN", "[1]", " 5 ", "{", "µ", "5 m", "-"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "5", "1e999", "null", "true", '"quoted"', "NaN", "[1]", " 5 ", "{", "µ", "5 m", "-"],
+)
 def test_a_string_stays_a_string(text):
     assert decode(encode({"key": text})) == {"key": text}
 
 
 def test_plain_strings_stand_as_they_are_and_the_rest_is_json():
-    assert encode({"scene": "table", "seed": 3, "goals": [[1.5]]}) == {"scene": "table", "seed": "3", "goals": "[[1.5]]"}
+    assert encode({"scene": "table", "seed": 3, "goals": [[1.5]]}) == {
+        "scene": "table",
+        "seed": "3",
+        "goals": "[[1.5]]",
+    }
 
 
 def test_nan_and_infinity_survive():
@@ -58,7 +73,9 @@ def test_header_survives_with_the_order_of_its_arms():
 
 
 def test_result_survives():
-    result = Result(3, (0.1, -1 / 3), True, False, True, False, "", "1234" * 16)  # a digest that would read as a number
+    result = Result(
+        3, (0.1, -1 / 3), True, False, True, False, "", "1234" * 16
+    )  # a digest that would read as a number
     assert decode_result(encode_result(result)) == result
 
 
@@ -93,7 +110,9 @@ def test_a_result_with_a_value_of_another_type_is_refused():
         decode_result(strings | {"returns": json.dumps(1.0)})
 
 
-@pytest.mark.parametrize(("key", "value"), [("n_q", -1), ("n_x", 10**12), ("k", 2.0), ("n_u", True)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("n_q", -1), ("n_x", 10**12), ("k", 2.0), ("n_u", True)]
+)
 def test_a_layout_that_cannot_be_is_refused(key, value):
     header = make_header()
     header.env["layout"][key] = value

@@ -1,16 +1,24 @@
-"""What is not a finished coordlog episode is refused, in a sentence that says what it is instead."""
+"""What is not a finished coordlog episode is refused, in a sentence that says what it is
+instead."""
 
 import os
 
 import pytest
 from mcap.writer import Writer
-from synthetic import ATTACHMENTS, assert_same
 
 from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.container import Container
 from coordlog.record.metadata import encode_header
-from coordlog.record.reader import probe, read_attachments, read_episode, read_header, read_result, read_summary
+from coordlog.record.reader import (
+    probe,
+    read_attachments,
+    read_episode,
+    read_header,
+    read_result,
+    read_summary,
+)
 from coordlog.record.writer import LIBRARY
+from tests.synthetic import ATTACHMENTS, assert_same
 
 READERS = (probe, read_episode, read_header, read_result, read_summary)
 
@@ -30,7 +38,9 @@ def foreign_mcap(path, *, profile="", library="libmcap 1.4.0"):
 def other_version(path, header):
     container = Container(LIBRARY)
     for name, values in encode_header(header).items():
-        container.add_metadata(name, values | ({"schema_version": "7"} if name == "coordlog.episode" else {}))
+        container.add_metadata(
+            name, values | ({"schema_version": "7"} if name == "coordlog.episode" else {})
+        )
     container.finish()
     path.write_bytes(container.drain())
     return path
@@ -77,7 +87,10 @@ def test_a_missing_file_is_a_storage_error(tmp_path, read):
 @pytest.mark.parametrize("read", [probe, read_episode, read_result, read_summary])
 def test_a_truncated_file_says_how_to_recover_it(file, read):
     os.truncate(file, file.stat().st_size // 2)
-    with pytest.raises(TruncatedError, match="without its commit marker; recover what is complete with `coordlog recover`"):
+    with pytest.raises(
+        TruncatedError,
+        match="without its commit marker; recover what is complete with `coordlog recover`",
+    ):
         read(file)
     assert read_header(file).episode["scene"] == "table"
 
@@ -123,9 +136,8 @@ def test_a_damaged_attachment_is_refused(file):
 
 
 def test_reading_the_summary_touches_only_the_ends(tmp_path, rng):
-    from synthetic import make_episode
-
     from coordlog.record.writer import write_episode
+    from tests.synthetic import make_episode
 
     path = tmp_path / "long.mcap"
     write_episode(path, make_episode(rng, length=500), attachments=ATTACHMENTS, display=False)

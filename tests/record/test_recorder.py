@@ -1,4 +1,5 @@
-"""Tests for recorder.py: a recorded environment is the environment, and no step is lost whatever ends the run."""
+"""Tests for recorder.py: a recorded environment is the environment, and no step is lost whatever
+ends the run."""
 
 from __future__ import annotations
 
@@ -9,20 +10,26 @@ import numpy as np
 import pytest
 
 from coordlog.errors import SpecError, StorageError
+from coordlog.mjcf import load_model
+from coordlog.policies.scripted import scripted
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Finished, Recorder
-from coordlog.rollout import rollout
-from coordlog.scripted import scripted
-from coordlog.sim.attached import load_model
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log, exact_here, replay
-from coordlog.sim.scene import SCENES
+from coordlog.sim.rollout import rollout
+from coordlog.tasks.scene import SCENES
 
 POLICY = {"kind": "scripted", "name": "random", "checkpoint_sha256": "", "noise": {}}
 
 
 def record(
-    folder: Path, *, scene: str = "planar", n: int = 3, episodes: int = 4, policy: str = "random", threads: int = 1
+    folder: Path,
+    *,
+    scene: str = "planar",
+    n: int = 3,
+    episodes: int = 4,
+    policy: str = "random",
+    threads: int = 1,
 ) -> list[Finished]:
     env, done = BatchEnv(SCENES[scene], n=n, threads=threads), []
     with Recorder(env, folder, policy=POLICY, epoch=0, finished=done.append) as recorder:
@@ -37,7 +44,9 @@ def logged(path: Path) -> Log:
     return Log(episode.header, model, np.frombuffer(attached["initial_state.f64"]), episode.action)
 
 
-@pytest.mark.parametrize(("scene", "policy"), [("planar", "random"), ("spheres", "random"), ("table", "expert")])
+@pytest.mark.parametrize(
+    ("scene", "policy"), [("planar", "random"), ("spheres", "random"), ("table", "expert")]
+)
 def test_a_replay_from_the_file_alone_is_bit_exact(tmp_path: Path, scene: str, policy: str) -> None:
     done = record(tmp_path, scene=scene, policy=policy, n=2, episodes=3)
     traces = replay([logged(item.path) for item in done])
@@ -85,7 +94,9 @@ def test_an_interrupted_run_keeps_every_step(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_an_interruption_inside_a_step_ends_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_inside_a_step_ends_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     env, done = BatchEnv(SCENES["planar"], n=1, threads=1), []
     original, calls = BatchEnv.step, []
 
@@ -110,7 +121,9 @@ def test_an_interruption_inside_a_step_ends_before_it(tmp_path: Path, monkeypatc
     assert trace.columns["qpos"].tobytes() == episode.qpos.tobytes()
 
 
-def test_a_diverged_simulation_is_closed_with_its_last_sound_state_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_diverged_simulation_is_closed_with_its_last_sound_state_and_the_others_go_on(
+    tmp_path: Path,
+) -> None:
     env, done = BatchEnv(SCENES["planar"], n=3, threads=1), []
     with Recorder(env, tmp_path, policy=POLICY, finished=done.append) as recorder:
         for count, _ in enumerate(rollout(recorder, scripted("random", env), range(3), seed=0)):
@@ -121,19 +134,26 @@ def test_a_diverged_simulation_is_closed_with_its_last_sound_state_and_the_other
     assert aborted[0].result.aborted.startswith("diverged")
     assert aborted[0].result.length == 41
     assert len(done) == 3
-    assert all(np.isfinite(read_episode(item.path).qpos).all() for item in done if item is not aborted[0])
+    assert all(
+        np.isfinite(read_episode(item.path).qpos).all() for item in done if item is not aborted[0]
+    )
 
 
 def test_a_policy_that_gives_no_number_is_refused(tmp_path: Path) -> None:
     class Broken:
-        def begin(self, ids: np.ndarray, state: np.ndarray, rngs: list[np.random.Generator]) -> None:
+        def begin(
+            self, ids: np.ndarray, state: np.ndarray, rngs: list[np.random.Generator]
+        ) -> None:
             pass
 
         def act(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
             return np.full((len(ids), 8), np.nan, dtype=np.float32)
 
     env = BatchEnv(SCENES["planar"], n=1, threads=1)
-    with pytest.raises(SpecError, match="action: expected numbers"), Recorder(env, tmp_path, policy=POLICY) as recorder:
+    with (
+        pytest.raises(SpecError, match="action: expected numbers"),
+        Recorder(env, tmp_path, policy=POLICY) as recorder,
+    ):
         next(rollout(recorder, Broken(), range(1), seed=0))
     assert not list(tmp_path.iterdir()), "an episode without a step is no episode"
 

@@ -30,7 +30,10 @@ def test_without_hard_links_a_name_is_reserved_first(tmp_path, monkeypatch, code
     (tmp_path / "a").write_bytes(b"more")
     with pytest.raises(FileExistsError):
         move_new(tmp_path / "a", tmp_path / "b")
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"more", "b": b"content"}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "a": b"more",
+        "b": b"content",
+    }
 
 
 def test_short_writes_are_continued(tmp_path, monkeypatch):
@@ -60,5 +63,8 @@ def test_a_refused_write_closes_the_file_and_names_the_part(tmp_path, monkeypatc
 
 
 def test_a_folder_that_is_missing_is_said(tmp_path):
-    with pytest.raises(StorageError, match="cannot create the file: No such file or directory; does the folder exist"):
+    with pytest.raises(
+        StorageError,
+        match="cannot create the file: No such file or directory; does the folder exist",
+    ):
         PartFile(tmp_path / "nowhere" / "a.mcap")

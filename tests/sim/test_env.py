@@ -9,14 +9,13 @@ import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
 from coordlog.errors import ConfigError
-from coordlog.sim.balance import support_margin
-from coordlog.sim.config import EnvConfig, RewardConfig
+from coordlog.kinematics.balance import support_margin
+from coordlog.policies.expert import Expert
+from coordlog.policies.noise import Random
 from coordlog.sim.env import BatchEnv, settled
-from coordlog.sim.expert import Expert
-from coordlog.sim.policies import Random
-from coordlog.sim.scene import SCENES, find
-
-from .contracts import EnvContract
+from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.scene import SCENES, find
+from tests.contracts import EnvContract
 
 CURRENT = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -39,7 +38,12 @@ class TestShelfWatchingTheZeroMomentPoint(EnvContract):
     k, n_u, n_x = 2, 13, 44
 
     def make(self, n):
-        return BatchEnv(SCENES["shelf"], EnvConfig(balance="com+zmp", state_extras=("difference", "velocity")), n=n, threads=1)
+        return BatchEnv(
+            SCENES["shelf"],
+            EnvConfig(balance="com+zmp", state_extras=("difference", "velocity")),
+            n=n,
+            threads=1,
+        )
 
 
 def started(name="free", *, n=1, config=None, reward=None, start="stand"):
@@ -66,7 +70,9 @@ def joint(env, name, value=1.0):
 
 
 def test_an_unknown_start_pose_lists_the_choices():
-    with pytest.raises(ConfigError, match="unknown start pose 'sit'; choose one of: home, neutral, stand"):
+    with pytest.raises(
+        ConfigError, match="unknown start pose 'sit'; choose one of: home, neutral, stand"
+    ):
         BatchEnv(find("free"), start="sit")
 
 
@@ -100,7 +106,10 @@ def test_a_joint_moves_at_its_speed_and_stops_at_its_limit():
     place = env.task.qpos_index[index]
     angles = [env.physics.qpos[0, place]]
     for _ in range(80):
-        env.step(np.asarray(joint(env, "l_elbow_y", -1.0), dtype=np.float32)[None], np.zeros(1, dtype=int))
+        env.step(
+            np.asarray(joint(env, "l_elbow_y", -1.0), dtype=np.float32)[None],
+            np.zeros(1, dtype=int),
+        )
         angles.append(env.physics.qpos[0, place])
     speed = np.diff(angles)[20:40] / env.task.config.control_period
     assert speed == pytest.approx(-env.task.config.speed, rel=0.05)
@@ -110,7 +119,10 @@ def test_a_joint_moves_at_its_speed_and_stops_at_its_limit():
 
 def test_a_joint_leaves_its_limit_as_soon_as_it_is_told_to():
     env = started(config=EnvConfig(max_steps=1000, smoothing=0.0))
-    place, one = env.task.qpos_index[env.scene.robot.action_joints.index("l_elbow_y")], np.zeros(1, dtype=int)
+    place, one = (
+        env.task.qpos_index[env.scene.robot.action_joints.index("l_elbow_y")],
+        np.zeros(1, dtype=int),
+    )
     for value in [-1.0] * 120 + [1.0] * 8:  # far longer than the limit is away, then back
         env.step(joint(env, "l_elbow_y", value).astype(np.float32)[None], one)
     assert env.physics.qpos[0, place] > np.radians(-148) + 0.15
@@ -119,7 +131,10 @@ def test_a_joint_leaves_its_limit_as_soon_as_it_is_told_to():
 def test_the_spine_is_slower_than_the_arms_and_a_command_builds_up():
     env = started()
     config, target = env.task.config, env.simulation._target
-    spine, elbow = env.scene.robot.action_joints.index("abs_z"), env.scene.robot.action_joints.index("l_elbow_y")
+    spine, elbow = (
+        env.scene.robot.action_joints.index("abs_z"),
+        env.scene.robot.action_joints.index("l_elbow_y"),
+    )
     action = (joint(env, "abs_z") + joint(env, "l_elbow_y", -1.0)).astype(np.float32)[None]
     moved, filtered = [], 0.0
     for _ in range(4):
@@ -143,7 +158,12 @@ def test_legs_and_head_are_held():
 def test_throwing_the_spine_back_is_instability_and_ends_the_episode():
     env = started(config=EnvConfig(shared_speed=3.0, smoothing=0.0))
     outcomes = steps(
-        env, joint(env, "abs_y", -1.0) + joint(env, "bust_y", -1.0) + joint(env, "l_shoulder_y") + joint(env, "r_shoulder_y"), 60
+        env,
+        joint(env, "abs_y", -1.0)
+        + joint(env, "bust_y", -1.0)
+        + joint(env, "l_shoulder_y")
+        + joint(env, "r_shoulder_y"),
+        60,
     )
     assert outcomes[-1].instability[0]
     assert outcomes[-1].terminated[0]
@@ -181,11 +201,15 @@ def test_the_zero_moment_point_is_that_of_the_last_control_period():
     flags = []
     for step in range(40):
         before = read("com_velocity")
-        sway = joint(env, "abs_y", (-1.0) ** (step // 4)) + joint(env, "bust_y", (-1.0) ** (step // 4))
+        sway = joint(env, "abs_y", (-1.0) ** (step // 4)) + joint(
+            env, "bust_y", (-1.0) ** (step // 4)
+        )
         outcome = env.step(sway.astype(np.float32)[None], one)
         com, acceleration = read("com"), (read("com_velocity") - before) / 0.04
         point = com[:2] - com[2] / (9.81 + acceleration[2]) * acceleration[:2]
-        corners = np.array([read(f"{side}_foot_sole_corner_{i}") for side in "lr" for i in range(4)])
+        corners = np.array(
+            [read(f"{side}_foot_sole_corner_{i}") for side in "lr" for i in range(4)]
+        )
         margin = min(support_margin(point, corners), support_margin(com[:2], corners))
         assert outcome.instability[0] == (margin < 0.01)
         flags.append(bool(outcome.instability[0]))
@@ -193,7 +217,10 @@ def test_the_zero_moment_point_is_that_of_the_last_control_period():
 
 
 def test_watching_the_zero_moment_point_does_not_trip_at_rest():
-    assert not any(outcome.instability.any() for outcome in steps(started(config=EnvConfig(balance="com+zmp")), np.zeros(13), 30))
+    assert not any(
+        outcome.instability.any()
+        for outcome in steps(started(config=EnvConfig(balance="com+zmp")), np.zeros(13), 30)
+    )
 
 
 def test_reaching_both_goals_ends_the_episode_with_kappa():
@@ -240,11 +267,16 @@ def test_a_hand_on_the_table_is_a_collision_with_names():
     env = started("table", start="home")
     outcomes = steps(env, joint(env, "l_elbow_y") + joint(env, "r_elbow_y"), 30)
     first = next(outcome for outcome in outcomes if outcome.collision[0])
-    names = {env.task.model.geom(int(i)).name for i in (*first.contacts[0]["geom1"], *first.contacts[0]["geom2"])}
+    names = {
+        env.task.model.geom(int(i)).name
+        for i in (*first.contacts[0]["geom1"], *first.contacts[0]["geom2"])
+    }
     assert "table" in names
     assert (first.contacts[0]["depth"] >= 0).all()
     assert first.contacts[0]["z"] == pytest.approx(0.46, abs=0.03)
-    assert first.reward[0] == pytest.approx(-first.distance[0] - 0.3 + 0.1 * first.boundary[0])  # α 1, n1 0.3, m1 0.1
+    assert first.reward[0] == pytest.approx(
+        -first.distance[0] - 0.3 + 0.1 * first.boundary[0]
+    )  # α 1, n1 0.3, m1 0.1
 
 
 @pytest.mark.parametrize("name", ["table", "spheres"])
@@ -252,9 +284,15 @@ def test_the_attachments_are_enough_to_simulate_the_episode_again(name):
     env = started(name, n=2)
     files, unpack = env.attachments(1), zstandard.ZstdDecompressor().decompress
     text, binary = unpack(files[MODEL_XML]), unpack(files[MODEL_MJB])
-    models = mujoco.MjModel.from_xml_string(text.decode()), mujoco.MjModel.from_binary_path("m.mjb", {"m.mjb": binary})
+    models = (
+        mujoco.MjModel.from_xml_string(text.decode()),
+        mujoco.MjModel.from_binary_path("m.mjb", {"m.mjb": binary}),
+    )
     start = np.frombuffer(files[INITIAL_STATE])
-    config, action = env.task.config, np.random.default_rng(0).uniform(-1, 1, (15, 13)).astype(np.float32)
+    config, action = (
+        env.task.config,
+        np.random.default_rng(0).uniform(-1, 1, (15, 13)).astype(np.float32),
+    )
     for each in action:
         env.step(np.stack([each, each]), np.arange(2))
     for model in models:
@@ -265,7 +303,10 @@ def test_the_attachments_are_enough_to_simulate_the_episode_again(name):
             velocity = config.smoothing * velocity + (1 - config.smoothing) * each
             after = target.copy()
             servos = env.task.servos
-            after[servos] = np.clip(target[servos] + velocity * env.task.speeds * config.control_period, *env.task.limits.T)
+            after[servos] = np.clip(
+                target[servos] + velocity * env.task.speeds * config.control_period,
+                *env.task.limits.T,
+            )
             for substep in range(10):
                 data.ctrl[:] = target + (after - target) * ((substep + 1) / 10)
                 mujoco.mj_step(model, data)
@@ -328,16 +369,21 @@ def test_the_expert_ends_an_episode_on_its_goals():
 
 
 def test_a_slow_decision_is_several_fast_ones():
-    """Three of 0.04 s with the same action lead to where one of 0.12 s does, contacts and flags included."""
+    """Three of 0.04 s with the same action lead to where one of 0.12 s does, contacts and flags
+    included."""
     fast = started("table", n=2, config=EnvConfig(smoothing=0.0))
     slow = started("table", n=2, config=EnvConfig(smoothing=0.0, control_period=0.12, max_steps=50))
     ids, touched = np.arange(2), []
-    action = np.tile(sum(joint(fast, f"{side}_shoulder_y", -0.8) for side in "lr"), (2, 1)).astype(np.float32)  # no joint gets to its stop
+    action = np.tile(sum(joint(fast, f"{side}_shoulder_y", -0.8) for side in "lr"), (2, 1)).astype(
+        np.float32
+    )  # no joint gets to its stop
     for _ in range(8):
         parts = [fast.step(action, ids) for _ in range(3)]
         whole = slow.step(action, ids)
         np.testing.assert_allclose(slow.simulation.qpos, fast.simulation.qpos, atol=1e-9)
-        np.testing.assert_array_equal(whole.collision, np.any([part.collision for part in parts], axis=0))
+        np.testing.assert_array_equal(
+            whole.collision, np.any([part.collision for part in parts], axis=0)
+        )
         np.testing.assert_array_equal(whole.instability, parts[-1].instability)
         touched.append(whole.collision)
     np.testing.assert_allclose(slow.simulation.time, fast.simulation.time)
@@ -360,13 +406,19 @@ def test_panels_grow_by_what_was_asked_for_on_every_side():
 def test_the_policy_is_told_the_true_size_of_spheres_that_are_larger():
     true, larger = started("spheres"), started("spheres", config=EnvConfig(inflate=0.01))
     radii = true.problem(seed=0, split="train", index=0).spheres[:, 3]
-    np.testing.assert_allclose(larger.physics.model_of(0).geom_size[larger.task.sphere_geoms, 0], radii + 0.01)
+    np.testing.assert_allclose(
+        larger.physics.model_of(0).geom_size[larger.task.sphere_geoms, 0], radii + 0.01
+    )
     np.testing.assert_allclose(larger.state, true.state, atol=1e-6)
 
 
-@pytest.mark.parametrize(("key", "value"), [("inflate", 0.03), ("start_line", 1.5), ("start_random", -0.1)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("inflate", 0.03), ("start_line", 1.5), ("start_random", -0.1)]
+)
 def test_what_makes_training_easier_has_a_range(key, value):
     with pytest.raises(ConfigError, match=f"{key}: expected"):
         EnvConfig(**{key: value})
-    with pytest.raises(ConfigError, match=r"start_line \+ start_random: expected at most 1, got 1.2"):
+    with pytest.raises(
+        ConfigError, match=r"start_line \+ start_random: expected at most 1, got 1.2"
+    ):
         EnvConfig(start_line=0.6, start_random=0.6)

@@ -8,11 +8,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from coordlog.errors import ConfigError, SpecError
-from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GymEnv
 from coordlog.sim.gym_ids import gym_id, register
-from coordlog.sim.scene import SCENES
+from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.scene import SCENES
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,10 @@ def arm():
 
 
 def random_steps(env, count, *, seed=0):
-    """Observations, rewards, endings and infos of random actions; starts a new episode when one ends."""
+    """Observations, rewards, endings and infos of random actions.
+
+    Starts a new episode when one ends.
+    """
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
     found = []
@@ -73,7 +76,9 @@ def test_is_the_same_simulation_as_the_batch(env):
         assert info["collision"] == outcome.collision[0]
         goals = batch.task.goals(batch.physics.mocap_pos[:1]).ravel()
         assert observation["desired_goal"].tobytes() == goals.tobytes()
-        distance = np.linalg.norm((observation["desired_goal"] - observation["achieved_goal"]).reshape(2, 3), axis=1)
+        distance = np.linalg.norm(
+            (observation["desired_goal"] - observation["achieved_goal"]).reshape(2, 3), axis=1
+        )
         assert distance == pytest.approx(info["distance"], abs=1e-12)
 
 
@@ -93,7 +98,9 @@ def test_reward_and_endings_can_be_computed_again_for_one_and_for_many(name, req
         assert env.compute_reward(*goals, info) == reward
         assert env.compute_terminated(*goals, info) == terminated
         assert env.compute_truncated(*goals, info) == truncated
-    achieved, desired = (np.stack([each[0][key] for each in found]) for key in ("achieved_goal", "desired_goal"))
+    achieved, desired = (
+        np.stack([each[0][key] for each in found]) for key in ("achieved_goal", "desired_goal")
+    )
     infos = [each[4] for each in found]
     assert env.compute_reward(achieved, desired, infos).tolist() == [each[1] for each in found]
     assert env.compute_terminated(achieved, desired, infos).tolist() == [each[2] for each in found]
@@ -106,7 +113,9 @@ def test_hindsight_reaches_its_goal_unless_something_was_touched(env):
     assert not info["collision"]
     assert env.compute_reward(palms, palms, info) == RewardConfig().kappa
     assert env.compute_terminated(palms, palms, info)
-    assert not env.compute_truncated(palms, palms, {**info, "step": EnvConfig().max_steps})  # it ended by itself
+    assert not env.compute_truncated(
+        palms, palms, {**info, "step": EnvConfig().max_steps}
+    )  # it ended by itself
     assert env.compute_reward(palms, palms, {**info, "collision": True}) < 1.0
     assert env.compute_reward(palms, palms, {**info, "instability": True}) < 0.0
 
@@ -169,7 +178,9 @@ def test_bad_arguments_are_refused():
 
 def test_bad_actions_are_refused(env):
     env.reset(seed=0)
-    with pytest.raises(SpecError, match=r"expected \(13,\) numbers in \[-1, 1\], got shape \(12,\)"):
+    with pytest.raises(
+        SpecError, match=r"expected \(13,\) numbers in \[-1, 1\], got shape \(12,\)"
+    ):
         env.step(np.zeros(12, dtype=np.float32))
     with pytest.raises(SpecError, match="nan"):
         env.step(np.full(13, np.nan, dtype=np.float32))
@@ -241,7 +252,11 @@ def test_learns_with_hindsight_replay_of_another_library():
     )
     model.learn(45)
     batch = model.replay_buffer.sample(64)
-    gap = (batch.next_observations["achieved_goal"] - batch.next_observations["desired_goal"]).numpy().reshape(64, 3, 3)
+    gap = (
+        (batch.next_observations["achieved_goal"] - batch.next_observations["desired_goal"])
+        .numpy()
+        .reshape(64, 3, 3)
+    )
     hit = np.linalg.norm(gap, axis=2).max(axis=1) < 0.02
     rewards = batch.rewards.numpy().ravel()
     assert hit.any()  # some goals were swapped for what was achieved

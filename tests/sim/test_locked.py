@@ -1,4 +1,5 @@
-"""Joints that are locked stay where they start, whatever the action, and the expert and the inverse kinematics know it."""
+"""Joints that are locked stay where they start, whatever the action, and the expert and the inverse
+kinematics know it."""
 
 from __future__ import annotations
 
@@ -6,12 +7,12 @@ import numpy as np
 import pytest
 
 from coordlog.errors import ConfigError
-from coordlog.rollout import policy_rng
-from coordlog.scripted import scripted
-from coordlog.sim.config import EnvConfig
-from coordlog.sim.drive import Drive
+from coordlog.policies.scripted import scripted
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.scene import find
+from coordlog.sim.rollout import policy_rng
+from coordlog.sim.tracking import Drive
+from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import find
 
 SPINE = ("abs_y", "abs_x", "abs_z", "bust_y", "bust_x")
 
@@ -62,7 +63,10 @@ def test_inverse_kinematics_leaves_held_joints_alone(env: BatchEnv) -> None:
     assert (found[locked] == start[locked]).all()
     assert np.abs(reach.palms(found) - goals).max() < 0.002
     lean = np.where(locked, start + 0.2, home)
-    assert reach.descend(reach.palms(lean), home, held=np.where(locked, start + 0.2, np.nan)) is not None
+    assert (
+        reach.descend(reach.palms(lean), home, held=np.where(locked, start + 0.2, np.nan))
+        is not None
+    )
     far = np.array([[0.36, 0.06, 0.5], [0.36, -0.06, 0.5]])
     assert reach.descend(far, home) is not None, "with the spine it is within reach"
     assert reach.descend(far, home, held=held) is None

@@ -1,14 +1,15 @@
-"""The batch against plain MuJoCo: the same bits, every contact of every substep, and no word when a simulation diverges."""
+"""The batch against plain MuJoCo: the same bits, every contact of every substep, and no word when a
+simulation diverges."""
 
 import mujoco
 import numpy as np
 import pytest
 
 from coordlog.episode import CONTACT
-from coordlog.sim.config import EnvConfig
 from coordlog.sim.env import BatchEnv, settled
 from coordlog.sim.physics import DIVERGED, Physics, compile_model, deepest
-from coordlog.sim.scene import SCENES, compose, find, sphere_geom
+from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import SCENES, compose, find, sphere_geom
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SUBSTEPS = 10
@@ -32,7 +33,8 @@ def physics_at(model, qpos, **options):
 
 
 def foreign(model, data, robot):
-    """Contacts other than sole on floor, by name, the slow way: [(geom1, geom2, depth, position)]."""
+    """Contacts other than sole on floor, by name, the slow way: [(geom1, geom2, depth,
+    position)]."""
     found = []
     for contact in data.contact:
         names = {model.geom(contact.geom1).name, model.geom(contact.geom2).name}
@@ -43,7 +45,8 @@ def foreign(model, data, robot):
 
 
 def wild(model, rng, n):
-    """Whole-body states anywhere: joints in their ranges, the base low enough to lie, kneel and stand."""
+    """Whole-body states anywhere: joints in their ranges, the base low enough to lie, kneel and
+    stand."""
     qpos = np.tile(model.qpos0, (n, 1))
     for i in range(model.njnt):
         joint = model.joint(i)
@@ -99,7 +102,9 @@ def test_a_control_step_is_ten_plain_steps_bit_for_bit(shelf, threads):
     for _ in range(15):
         ids = np.flatnonzero(rng.random(n) < 0.8)
         after = before.copy()
-        after[ids] = np.clip(before[ids] + rng.normal(scale=0.15, size=(len(ids), model.nu)), low, high)
+        after[ids] = np.clip(
+            before[ids] + rng.normal(scale=0.15, size=(len(ids), model.nu)), low, high
+        )
         collision, contacts = physics.advance(ids, before[ids], after[ids], substeps=SUBSTEPS)
         for row, i in enumerate(ids):
             found = []
@@ -109,7 +114,10 @@ def test_a_control_step_is_ten_plain_steps_bit_for_bit(shelf, threads):
                 look = mujoco.MjData(model)
                 mujoco.mj_setState(model, look, get_state(model, plain[i]), STATE)
                 mujoco.mj_forward(model, look)
-                found += [(*pair, substep, depth, position) for *pair, depth, position in foreign(model, look, find("shelf").robot)]
+                found += [
+                    (*pair, substep, depth, position)
+                    for *pair, depth, position in foreign(model, look, find("shelf").robot)
+                ]
             assert physics.rows[i].tobytes() == get_state(model, plain[i]).tobytes()
             assert physics.sensors[i].tobytes() == look.sensordata.tobytes()
             assert collision[row] == bool(found)
@@ -132,24 +140,36 @@ def same_contacts(rows, found):
         if (first, second) not in best or depth > best[first, second][1]:
             best[first, second] = (substep, depth, *position)
     wanted = [(0, values[0], *pair, *values[1:]) for pair, values in sorted(best.items())]
-    return [tuple(row) for row in rows.tolist()] == [(a, b, c, d, *map(float, rest)) for a, b, c, d, *rest in wanted]
+    return [tuple(row) for row in rows.tolist()] == [
+        (a, b, c, d, *map(float, rest)) for a, b, c, d, *rest in wanted
+    ]
 
 
 def two_episodes(n, threads, slots):
-    """Two episodes of `spheres` in the given slots, beside n - 2 others that do other things: their states and outcomes as bytes."""
+    """Two episodes of `spheres` in the given slots, beside n - 2 others that do other things: their
+    states and outcomes as bytes."""
     env, slots = BatchEnv(SCENES["spheres"], n=n, threads=threads), np.array(slots)
     env.reset(np.arange(n), [env.problem(seed=9, split="train", index=index) for index in range(n)])
     env.reset(slots, [env.problem(seed=0, split="train", index=index) for index in range(2)])
     others, trace = np.setdiff1d(np.arange(n), slots), []
-    for step, action in enumerate(np.random.default_rng(0).uniform(-1, 1, (25, 2, 13)).astype(np.float32)):
+    for step, action in enumerate(
+        np.random.default_rng(0).uniform(-1, 1, (25, 2, 13)).astype(np.float32)
+    ):
         if len(others):
             env.step(np.full((len(others), 13), (-1.0) ** step, dtype=np.float32), others)
         outcome = env.step(action, slots)
-        trace += [env.physics.rows[slots].tobytes(), env.state[slots].tobytes(), outcome.reward.tobytes(), *map(bytes, outcome.contacts)]
+        trace += [
+            env.physics.rows[slots].tobytes(),
+            env.state[slots].tobytes(),
+            outcome.reward.tobytes(),
+            *map(bytes, outcome.contacts),
+        ]
     return trace
 
 
-@pytest.mark.parametrize(("n", "threads", "slots"), [(2, 2, (0, 1)), (5, 1, (1, 4)), (16, 4, (3, 9))])
+@pytest.mark.parametrize(
+    ("n", "threads", "slots"), [(2, 2, (0, 1)), (5, 1, (1, 4)), (16, 4, (3, 9))]
+)
 def test_an_episode_is_the_same_at_any_width_and_number_of_threads(n, threads, slots):
     assert two_episodes(n, threads, slots) == two_episodes(2, 1, (0, 1))
 
@@ -170,7 +190,9 @@ def test_resized_spheres_really_collide():
     physics.refresh(np.arange(2))
     assert physics.touching(np.arange(2))[0] == 0
     assert physics.touching(np.arange(2))[1] > 0
-    collision, contacts = physics.advance(np.arange(2), physics.ctrl.copy(), physics.ctrl.copy(), substeps=SUBSTEPS)
+    collision, contacts = physics.advance(
+        np.arange(2), physics.ctrl.copy(), physics.ctrl.copy(), substeps=SUBSTEPS
+    )
     assert collision.tolist() == [False, True]
     assert sphere in np.concatenate([contacts[1]["geom1"], contacts[1]["geom2"]])
     physics.rows[:] = start
@@ -186,13 +208,25 @@ def test_a_resized_simulations_model_is_the_compiled_one():
     spheres = [physics.model.geom(sphere_geom(i)).id for i in range(3)]
     physics.resize(np.array([1]), spheres, np.array([radii]))
     compiled = compile_model(compose(find("spheres"), EnvConfig(), radii))
-    for field in ("geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia", "dof_invweight0"):
-        assert getattr(physics.model_of(1), field).tobytes() == getattr(compiled, field).tobytes(), field
-        assert getattr(physics.model_of(0), field).tobytes() == getattr(physics.model, field).tobytes(), field
+    for field in (
+        "geom_size",
+        "geom_rbound",
+        "geom_aabb",
+        "body_mass",
+        "body_inertia",
+        "dof_invweight0",
+    ):
+        assert (
+            getattr(physics.model_of(1), field).tobytes() == getattr(compiled, field).tobytes()
+        ), field
+        assert (
+            getattr(physics.model_of(0), field).tobytes() == getattr(physics.model, field).tobytes()
+        ), field
 
 
 def test_a_collision_between_control_steps_is_not_missed():
-    """A ball through the hand within one control step: there at no control step, seen at a substep."""
+    """A ball through the hand within one control step: there at no control step, seen at a
+    substep."""
     xml = """
     <mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody>
       <geom name="wall" type="box" size=".002 .1 .1" solref="10 1"/>
@@ -253,12 +287,17 @@ def test_the_deepest_contact_of_a_pair_is_kept_and_the_first_of_equals():
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e12, 3e7])
 @pytest.mark.parametrize("where", ["qpos", "qvel"])
-def test_a_diverged_simulation_is_flagged_and_the_others_go_on(where, poison, tmp_path, monkeypatch, capfd):
+def test_a_diverged_simulation_is_flagged_and_the_others_go_on(
+    where, poison, tmp_path, monkeypatch, capfd
+):
     monkeypatch.chdir(tmp_path)
     env = {}
     for sick in (False, True):
         env[sick] = BatchEnv(SCENES["table"], n=6, threads=2)
-        env[sick].reset(np.arange(6), [env[sick].problem(seed=0, split="train", index=index) for index in range(6)])
+        env[sick].reset(
+            np.arange(6),
+            [env[sick].problem(seed=0, split="train", index=index) for index in range(6)],
+        )
     getattr(env[True].physics, where)[3, 10] = poison
     rng, flagged = np.random.default_rng(0), False
     with np.errstate(all="ignore"):
@@ -271,7 +310,10 @@ def test_a_diverged_simulation_is_flagged_and_the_others_go_on(where, poison, tm
             assert not well.diverged.any()
             for name in ("reward", "distance", "collision", "instability", "terminated"):
                 assert getattr(ill, name)[others].tobytes() == getattr(well, name)[others].tobytes()
-            assert env[True].physics.rows[others].tobytes() == env[False].physics.rows[others].tobytes()
+            assert (
+                env[True].physics.rows[others].tobytes()
+                == env[False].physics.rows[others].tobytes()
+            )
     assert flagged
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
     assert capfd.readouterr() == ("", "")
@@ -283,7 +325,8 @@ def test_a_diverged_simulation_is_flagged_and_the_others_go_on(where, poison, tm
 
 
 def test_a_simulation_that_explodes_under_way_is_flagged_in_that_very_step():
-    """Finite before and after, but MuJoCo gave up in between: the steps it did not make must not pass for made."""
+    """Finite before and after, but MuJoCo gave up in between: the steps it did not make must not
+    pass for made."""
     physics = Physics(model_of("free"), n=2, threads=1)
     start = settled(find("free").robot, physics.model, "stand")
     physics.rows[:] = start
@@ -292,23 +335,34 @@ def test_a_simulation_that_explodes_under_way_is_flagged_in_that_very_step():
     physics.refresh(ids)
     assert not physics.diverged(ids).any()
     physics.advance(ids, physics.ctrl.copy(), physics.ctrl.copy(), substeps=SUBSTEPS)
-    assert max(np.abs(physics.qpos).max(), np.abs(physics.qvel).max()) < DIVERGED  # there is nothing to see in the state
+    assert (
+        max(np.abs(physics.qpos).max(), np.abs(physics.qvel).max()) < DIVERGED
+    )  # there is nothing to see in the state
     assert physics.diverged(ids).tolist() == [False, True]
 
 
 def test_one_model_per_simulation_is_what_a_replay_needs():
-    models = [compile_model(compose(find("spheres"), EnvConfig(), radii)) for radii in ((0.03,) * 3, (0.095, 0.03, 0.03))]
+    models = [
+        compile_model(compose(find("spheres"), EnvConfig(), radii))
+        for radii in ((0.03,) * 3, (0.095, 0.03, 0.03))
+    ]
     start = settled(find("spheres").robot, models[0], "stand")
     physics = Physics(models[0], n=2, threads=1, models=models)
     physics.rows[:] = start
     physics.refresh(np.arange(2))
     palm = models[0].sensor("palm_left").adr[0]
-    physics.mocap_pos[:, models[0].body(sphere_geom(0)).mocapid[0]] = physics.sensors[0, palm : palm + 3] + AHEAD
+    physics.mocap_pos[:, models[0].body(sphere_geom(0)).mocapid[0]] = (
+        physics.sensors[0, palm : palm + 3] + AHEAD
+    )
     physics.refresh(np.arange(2))
     assert physics.touching(np.arange(2)).astype(bool).tolist() == [False, True]
-    collision, contacts = physics.advance(np.arange(2), physics.ctrl.copy(), physics.ctrl.copy(), substeps=1)
+    collision, contacts = physics.advance(
+        np.arange(2), physics.ctrl.copy(), physics.ctrl.copy(), substeps=1
+    )
     assert collision.tolist() == [False, True]
-    assert models[0].geom(sphere_geom(0)).id in np.concatenate([contacts[1]["geom1"], contacts[1]["geom2"]])
+    assert models[0].geom(sphere_geom(0)).id in np.concatenate(
+        [contacts[1]["geom1"], contacts[1]["geom2"]]
+    )
 
 
 def test_the_number_of_substeps_may_change():
@@ -317,6 +371,8 @@ def test_the_number_of_substeps_may_change():
     one = np.zeros(1, dtype=int)
     physics.refresh(one)
     for substeps in (1, 10, 3):
-        collision, _ = physics.advance(one, physics.ctrl.copy(), physics.ctrl.copy(), substeps=substeps)
+        collision, _ = physics.advance(
+            one, physics.ctrl.copy(), physics.ctrl.copy(), substeps=substeps
+        )
         assert not collision.any()
     assert physics.rows[0, 0] == pytest.approx(14 * physics.model.opt.timestep)

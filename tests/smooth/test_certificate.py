@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from coordlog.smooth import Spline, Unobstructed, Verdict, fit
 from coordlog.smooth.breach import Kind
 from coordlog.smooth.certificate import certify
-
-from .planar import PlanarArm
+from tests.smooth.planar import PlanarArm
 
 
 class Bump:
-    """One joint; a forbidden hump of given height, centre and width over time, so thin that samples miss it."""
+    """One joint; a forbidden hump of given height, centre and width over time, so thin that samples
+    miss it."""
 
     reach = np.array([[1.0]])
 
@@ -21,7 +21,11 @@ class Bump:
         self.height, self.centre, self.width = height, centre, width
 
     def slack(self, time, q, clearance):
-        return (q[:, 0] - self.height * np.maximum(0.0, 1.0 - abs(time - self.centre) / self.width) - clearance)[:, None]
+        return (
+            q[:, 0]
+            - self.height * np.maximum(0.0, 1.0 - abs(time - self.centre) / self.width)
+            - clearance
+        )[:, None]
 
     def check(self, time, q, clearance):
         return Verdict.from_slack(self.slack(time, q, clearance))
@@ -61,9 +65,15 @@ class Ceiling(Bump):
 @pytest.mark.parametrize(
     "spline",
     [
-        Spline(np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1))),  # at rest at both ends, fast between
+        Spline(
+            np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
+        ),  # at rest at both ends, fast between
         Spline(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])),  # a hump
-        Spline(np.array([0.0, 0.5, 1.0]), np.array([[0.0], [0.2], [1.0]]), np.array([[0.0], [0.9], [0.0]])),
+        Spline(
+            np.array([0.0, 0.5, 1.0]),
+            np.array([[0.0], [0.2], [1.0]]),
+            np.array([[0.0], [0.9], [0.0]]),
+        ),
     ],
 )
 def test_the_bound_leaves_no_gap_and_little_room(spline):
@@ -111,7 +121,11 @@ def test_certified_paths_are_free_at_sixty_four_samples_per_knot(seed, sway):
     discs = np.column_stack([rng.uniform(-0.6, 0.6, (3, 2)), rng.uniform(0.01, 0.08, 3)])
     arm = PlanarArm(rng.uniform(0.08, 0.16, 4), discs, sway=sway)
     time = np.cumsum(rng.uniform(0.01, 0.04, 30))
-    spline = fit(time, np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0) + rng.normal(size=4), lam=10.0 ** rng.uniform(-8, -3))
+    spline = fit(
+        time,
+        np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0) + rng.normal(size=4),
+        lam=10.0 ** rng.uniform(-8, -3),
+    )
     fine = np.linspace(time[0], time[-1], 64 * 30)
     free = arm.check(fine, spline(fine), 0.0).free
     found = certify(spline, arm, 0.0)

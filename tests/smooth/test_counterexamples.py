@@ -1,4 +1,5 @@
-"""Three small problems on which the paper's assumption, that less smoothing is always safer, is false."""
+"""Three small problems on which the paper's assumption, that less smoothing is always safer, is
+false."""
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from coordlog.smooth.metrics import jerk
 
 
 class Slacks:
-    """A checker of knots from a function (time, q) → slacks (n, P); no distances between samples."""
+    """A checker of knots from a function (time, q) → slacks (n, P).
+
+    No distances between samples.
+    """
 
     def __init__(self, slack):
         self.slack_of = slack
@@ -21,7 +25,8 @@ class Slacks:
         return f"rule {what}"
 
 
-# One: a bump whose way to its chord leads through a forbidden band. Free is p in [0, 1.5e-5] and in [2.4e-4, 1].
+# One: a bump whose way to its chord leads through a forbidden band. Free is p in [0, 1.5e-5] and in
+# [2.4e-4, 1].
 TIME = np.arange(41.0)
 BUMP = np.sin(np.pi * TIME / 40)[:, None]
 
@@ -37,7 +42,16 @@ def free(p):
 
 
 def test_the_feasible_p_are_not_an_interval():
-    assert [free(p) for p in (1e-9, 1.4e-5, 3e-5, 1e-4, 2.2e-4, 2.5e-4, 0.01, 1.0)] == [True, True, False, False, False, True, True, True]
+    assert [free(p) for p in (1e-9, 1.4e-5, 3e-5, 1e-4, 2.2e-4, 2.5e-4, 0.01, 1.0)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
 
 
 def test_bisection_on_p_misses_the_line_and_local_does_not():
@@ -70,20 +84,37 @@ def test_the_interpolant_breaks_a_limit_that_every_knot_keeps():
 
 @pytest.mark.parametrize("method", ["local", "shared", "paper"])
 def test_limits_hold_between_knots(method):
-    result = smooth(STEP_TIME, STEP, Slacks(lambda time, q: np.ones_like(q)), limits=LIMITS, method=method, certify=False)
+    result = smooth(
+        STEP_TIME,
+        STEP,
+        Slacks(lambda time, q: np.ones_like(q)),
+        limits=LIMITS,
+        method=method,
+        certify=False,
+    )
     assert result.status == "smoothed"
     assert result.spline(np.linspace(0.0, 11.0, 5001)).max() <= 1.05
 
 
 def test_a_cut_off_too_high_leaves_the_overshoot_of_the_log():
-    result = smooth(STEP_TIME, STEP, Slacks(lambda time, q: np.ones_like(q)), limits=LIMITS, certify=False, cutoff=0.45, ends="natural")
+    result = smooth(
+        STEP_TIME,
+        STEP,
+        Slacks(lambda time, q: np.ones_like(q)),
+        limits=LIMITS,
+        certify=False,
+        cutoff=0.45,
+        ends="natural",
+    )
     assert result.status == "smoothed"  # the samples are moved inside where the path overshoots
     assert result.spline(np.linspace(0.0, 11.0, 5001)).max() <= 1.05
 
 
 # Three: two joints that must cancel.
 PAIR_TIME = np.linspace(0.0, 3.0, 151)
-PAIR = np.sin(4.0 * PAIR_TIME)[:, None] * [1.0, -1.0] + 0.03 * np.random.default_rng(0).normal(size=(151, 1)) * [1.0, -1.0]
+PAIR = np.sin(4.0 * PAIR_TIME)[:, None] * [1.0, -1.0] + 0.03 * np.random.default_rng(0).normal(
+    size=(151, 1)
+) * [1.0, -1.0]
 
 
 def cancel(time, q):
@@ -99,7 +130,10 @@ def test_smoothing_one_joint_alone_breaks_their_bond():
 
 
 def test_joint_by_joint_stalls_and_one_cut_off_does_not():
-    results = {method: smooth(PAIR_TIME, PAIR, Slacks(cancel), method=method, certify=False) for method in ("paper", "shared", "local")}
+    results = {
+        method: smooth(PAIR_TIME, PAIR, Slacks(cancel), method=method, certify=False)
+        for method in ("paper", "shared", "local")
+    }
     dt = PAIR_TIME[1]
     for method in ("shared", "local"):
         assert results[method].status == "smoothed"

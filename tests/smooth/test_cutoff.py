@@ -15,7 +15,9 @@ def test_p_survives_both_ways_round(p, dt):
     hertz = cutoff.cutoff_from_p(p, dt)
     assert cutoff.p_from_lam(cutoff.lam_from_p(p, dt), dt) == pytest.approx(p, rel=1e-12)
     assert cutoff.p_from_cutoff(hertz, dt) == pytest.approx(p, rel=1e-12)
-    assert cutoff.cutoff_from_lam(cutoff.lam_from_cutoff(hertz, dt), dt) == pytest.approx(hertz, rel=1e-12)
+    assert cutoff.cutoff_from_lam(cutoff.lam_from_cutoff(hertz, dt), dt) == pytest.approx(
+        hertz, rel=1e-12
+    )
 
 
 def test_ends_of_the_scales_meet():

@@ -30,7 +30,9 @@ def test_a_path_starts_and_stops_at_rest_and_without_acceleration(n):
     assert (path.velocity[[0, -1]] == 0).all()
     assert (path.position[[0, -1]] == q[[0, -1]]).all()
     if n > 10:
-        rest = Grid(time, clamped=True).fit(q, lam=1e-3, weight=ends_exact(n), velocity=np.zeros((2, 3)))
+        rest = Grid(time, clamped=True).fit(
+            q, lam=1e-3, weight=ends_exact(n), velocity=np.zeros((2, 3))
+        )
         assert abs(path(time[[0, -1]], 2)).max() < 0.1 * inside
         assert abs(path(time[[0, -1]], 2)).max() < 0.2 * abs(rest(time[[0, -1]], 2)).max()
 
@@ -47,7 +49,8 @@ def test_far_from_the_ends_the_fit_is_the_usual_one():
     time, q = walk(np.random.default_rng(1), n)
     lam = 1e-4
     soft, rest = (
-        grid.fit(q, lam=lam, weight=ends_exact(n), velocity=np.zeros((2, 3))) for grid in (EasedGrid(time), Grid(time, clamped=True))
+        grid.fit(q, lam=lam, weight=ends_exact(n), velocity=np.zeros((2, 3)))
+        for grid in (EasedGrid(time), Grid(time, clamped=True))
     )
     middle = slice(EASE + 65, n - EASE - 65)
     assert abs(soft.position - rest.position)[middle].max() < 1e-6
@@ -56,7 +59,9 @@ def test_far_from_the_ends_the_fit_is_the_usual_one():
 
 def test_the_smoothest_soft_path_has_less_jerk_than_the_smoothest_at_rest():
     time, q = walk(np.random.default_rng(2), 100)
-    jerk = {ends: smooth(time, q, Unobstructed(3), ends=ends).after.jerk for ends in ("rest", "soft")}
+    jerk = {
+        ends: smooth(time, q, Unobstructed(3), ends=ends).after.jerk for ends in ("rest", "soft")
+    }
     assert jerk["soft"] < 0.7 * jerk["rest"]
 
 

@@ -1,4 +1,5 @@
-"""Tests for driving smoothed paths through the simulation: bit-exact replays of the raw run, tracking, and honest judgement."""
+"""Tests for driving smoothed paths through the simulation: bit-exact replays of the raw run,
+tracking, and honest judgement."""
 
 from __future__ import annotations
 
@@ -8,16 +9,16 @@ import numpy as np
 import pytest
 
 from coordlog.episode import INITIAL_STATE, Episode, Header, Result
-from coordlog.rollout import rollout
-from coordlog.scripted import scripted, with_noise
-from coordlog.sim.clearance import SceneChecker
-from coordlog.sim.drive import Drive, run, targets
+from coordlog.kinematics.clearance import SceneChecker
+from coordlog.policies.scripted import scripted, with_noise
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log, replay, task_of
-from coordlog.sim.scene import find
+from coordlog.sim.rollout import rollout
+from coordlog.sim.tracking import Drive, run, targets
 from coordlog.smooth.execute import execute, worse
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.smoother import smooth
+from coordlog.tasks.scene import find
 
 
 def recorded(scene, *, index=0, noise=0.15):
@@ -36,8 +37,18 @@ def recorded(scene, *, index=0, noise=0.15):
     env.step = step
     for _ in rollout(env, policy, [index], seed=0):
         pass
-    episode = {"schema_version": 1, "control_period": 0.04, "start_time": 0, "goals": [], "obstacles": []}
-    header = Header(episode, env.describe(), {"kind": "scripted", "name": "expert", "checkpoint_sha256": "", "noise": {}})
+    episode = {
+        "schema_version": 1,
+        "control_period": 0.04,
+        "start_time": 0,
+        "goals": [],
+        "obstacles": [],
+    }
+    header = Header(
+        episode,
+        env.describe(),
+        {"kind": "scripted", "name": "expert", "checkpoint_sha256": "", "noise": {}},
+    )
     log = Log(header, env.physics.model_of(0), start[0], np.array(actions))
     (trace,) = replay([log])
     columns = trace.columns
@@ -59,9 +70,13 @@ def recorded(scene, *, index=0, noise=0.15):
 def table():
     log, episode = recorded("table")
     task = task_of(log)
-    checker = SceneChecker(log.model, task.robot, task.config, time=episode.time, qpos=episode.qpos, initial=log.start)
+    checker = SceneChecker(
+        log.model, task.robot, task.config, time=episode.time, qpos=episode.qpos, initial=log.start
+    )
     limits = Limits(task.limits[:, 0], task.limits[:, 1])
-    result = smooth(episode.time, episode.qpos[:, task.qpos_index], checker, limits=limits, clearance=0.005)
+    result = smooth(
+        episode.time, episode.qpos[:, task.qpos_index], checker, limits=limits, clearance=0.005
+    )
     return log, episode, result
 
 
@@ -87,13 +102,18 @@ def test_servo_targets_are_those_the_simulation_used(table):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_action_brings_about_the_target_it_was_made_for(table, seed):
-    """The command filter and its inverse, with a target in reach; one out of reach is approached with all speed."""
+    """The command filter and its inverse, with a target in reach.
+
+    One out of reach is approached with all speed.
+    """
     log, _, _ = table
     task, rng = task_of(log), np.random.default_rng(seed)
     drive = Drive(task, targets_of_start(log))
     for _ in range(10):
         drive.step(rng.uniform(-0.3, 0.3, len(task.servos)).astype(np.float32))
-    wanted = drive.target + 0.2 * task.speeds * task.config.control_period * rng.uniform(-1, 1, len(task.servos))
+    wanted = drive.target + 0.2 * task.speeds * task.config.control_period * rng.uniform(
+        -1, 1, len(task.servos)
+    )
     action = drive.action_to(wanted)
     assert action.dtype == np.float32
     assert (np.abs(action) <= 1.0).all()
@@ -138,13 +158,22 @@ def test_a_raw_path_is_not_executed(table):
     log, episode, result = table
     kept = replace(result, status="kept_raw", reason="because")
     done = execute(log, kept, episode)
-    assert (done.status, done.reason, done.run, done.smoothed) == ("kept_raw", "because", None, None)
+    assert (done.status, done.reason, done.run, done.smoothed) == (
+        "kept_raw",
+        "because",
+        None,
+        None,
+    )
 
 
 def test_a_path_that_misses_the_goal_is_not_taken(table):
     """The same path, bent away from the goal: proven or not, the execution decides."""
     log, episode, result = table
-    astray = replace(result.spline, position=result.spline.position + 0.3 * np.linspace(0, 1, len(result.spline.time))[:, None] ** 2)
+    astray = replace(
+        result.spline,
+        position=result.spline.position
+        + 0.3 * np.linspace(0, 1, len(result.spline.time))[:, None] ** 2,
+    )
     done = execute(log, replace(result, spline=astray), episode)
     assert done.status == "kept_raw"
     assert done.run is None
@@ -161,7 +190,13 @@ def test_what_is_worse_is_named(table):
     assert "balance at 0.28 s" in worse(run_._replace(columns=fallen), episode)
     late = fine | {"goal": np.zeros_like(fine["goal"])}
     assert "no longer reaches the goal" in worse(run_._replace(columns=late), episode)
-    assert worse(run_._replace(columns=late), replace(episode, result=replace(episode.result, success=False))) == ""
+    assert (
+        worse(
+            run_._replace(columns=late),
+            replace(episode, result=replace(episode.result, success=False)),
+        )
+        == ""
+    )
     contact = np.zeros(1, dtype=run_.contacts.dtype)
     contact["geom1"], contact["geom2"], contact["depth"] = 3, 5, 0.002
     hit = fine | {"collision": np.arange(len(fine["action"])) == 5}

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordlog.smooth import DistanceChecker, Unobstructed, Verdict, feasibility, smooth
-
-from .planar import PlanarArm
+from tests.smooth.planar import PlanarArm
 
 
 def test_verdict_names_the_worst_pair():
@@ -43,13 +42,23 @@ def test_the_documented_example_is_a_checker(tmp_path):
 @given(st.integers(0, 10_000))
 def test_reach_and_drift_bound_every_change_of_slack(seed):
     rng = np.random.default_rng(seed)
-    arm = PlanarArm(rng.uniform(0.05, 0.2, 5), rng.uniform(-0.5, 0.5, (3, 3)) * [1, 1, 0.1], sway=0.02, balance=0.3)
-    q, t = rng.uniform(-2.0, 2.0, (2, 40, 5)) * [[[1.0]], [[rng.uniform()]]], rng.uniform(0.0, 1.0, (2, 40))
+    arm = PlanarArm(
+        rng.uniform(0.05, 0.2, 5),
+        rng.uniform(-0.5, 0.5, (3, 3)) * [1, 1, 0.1],
+        sway=0.02,
+        balance=0.3,
+    )
+    q, t = (
+        rng.uniform(-2.0, 2.0, (2, 40, 5)) * [[[1.0]], [[rng.uniform()]]],
+        rng.uniform(0.0, 1.0, (2, 40)),
+    )
     q[1] += q[0]
     at_rest = arm.slack(t[0], q[1], 0.0) - arm.slack(t[0], q[0], 0.0)
     assert (abs(at_rest) <= abs(q[1] - q[0]) @ arm.reach.T + 1e-12).all()
     swaying = arm.slack(t[1], q[0], 0.0) - arm.slack(t[0], q[0], 0.0)
-    assert (abs(swaying) <= arm.drift(t.min(axis=0), t.max(axis=0)) * abs(t[1] - t[0])[:, None] + 1e-12).all()
+    assert (
+        abs(swaying) <= arm.drift(t.min(axis=0), t.max(axis=0)) * abs(t[1] - t[0])[:, None] + 1e-12
+    ).all()
 
 
 def test_unobstructed_is_a_distance_checker():

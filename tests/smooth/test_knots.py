@@ -55,7 +55,11 @@ def test_an_incomplete_configuration_is_missing():
         ([0.0, 1.0, 2.0], [[0.0], [np.inf], [0.0]], "only NaN in q is read as a missing sample"),
         ([0.0, 2.0, 1.0], np.zeros((3, 1)), "sample 2 is before the one ahead"),
         ([0.0, 1.0], [[np.nan], [0.0]], "first configuration must be complete, joint 0 is NaN"),
-        ([0.0, 1.0], [[0.0, 0.0], [0.0, np.nan]], "last configuration must be complete, joint 1 is NaN"),
+        (
+            [0.0, 1.0],
+            [[0.0, 0.0], [0.0, np.nan]],
+            "last configuration must be complete, joint 1 is NaN",
+        ),
         ([1.0, 1.0, 1.0], np.zeros((3, 1)), "all are the same"),
     ],
 )

@@ -13,7 +13,11 @@ from coordlog.smooth.limits import limit_breaches
 
 def path(seed, n=7, joints=2):
     rng = np.random.default_rng(seed)
-    return Spline(np.cumsum(rng.uniform(0.2, 1.0, n)), rng.normal(size=(n, joints)), 2.0 * rng.normal(size=(n, joints)))
+    return Spline(
+        np.cumsum(rng.uniform(0.2, 1.0, n)),
+        rng.normal(size=(n, joints)),
+        2.0 * rng.normal(size=(n, joints)),
+    )
 
 
 def worst(found, kind, joint):
@@ -24,16 +28,29 @@ def worst(found, kind, joint):
 @given(st.integers(0, 10_000))
 def test_no_sample_exceeds_what_is_reported_and_every_report_is_real(seed):
     spline = path(seed)
-    limits = Limits(lower=-0.8, upper=[0.5, 1.2], speed=[1.5, 3.0], acceleration=12.0, tolerance=0.0)
+    limits = Limits(
+        lower=-0.8, upper=[0.5, 1.2], speed=[1.5, 3.0], acceleration=12.0, tolerance=0.0
+    )
     found = limit_breaches(spline, limits.widths(2))
-    fine = np.unique(np.concatenate([np.linspace(spline.time[0], spline.time[-1], 4001), spline.time]))
+    fine = np.unique(
+        np.concatenate([np.linspace(spline.time[0], spline.time[-1], 4001), spline.time])
+    )
     q, v = spline(fine), spline(fine, 1)
-    bends = np.concatenate([spline(spline.time, 2), 6 * spline.ppoly.c[0] * np.diff(spline.time)[:, None] + 2 * spline.ppoly.c[1]])
+    bends = np.concatenate(
+        [
+            spline(spline.time, 2),
+            6 * spline.ppoly.c[0] * np.diff(spline.time)[:, None] + 2 * spline.ppoly.c[1],
+        ]
+    )
     for joint in range(2):
         over = np.maximum(q[:, joint] - [0.5, 1.2][joint], -0.8 - q[:, joint]).max()
         assert worst(found, Kind.RANGE, joint) == pytest.approx(max(over, 0.0), abs=1e-4)
-        assert worst(found, Kind.SPEED, joint) == pytest.approx(max(abs(v[:, joint]).max() - [1.5, 3.0][joint], 0.0), abs=1e-3)
-        assert worst(found, Kind.ACCELERATION, joint) == pytest.approx(max(abs(bends[:, joint]).max() - 12.0, 0.0), abs=1e-9)
+        assert worst(found, Kind.SPEED, joint) == pytest.approx(
+            max(abs(v[:, joint]).max() - [1.5, 3.0][joint], 0.0), abs=1e-3
+        )
+        assert worst(found, Kind.ACCELERATION, joint) == pytest.approx(
+            max(abs(bends[:, joint]).max() - 12.0, 0.0), abs=1e-9
+        )
     for i in range(len(found)):  # each is where it says and as deep
         time, joint = found.time[i], found.what[i]
         value = spline(time, found.kind[i] - Kind.RANGE)[joint]
@@ -47,7 +64,9 @@ def test_no_sample_exceeds_what_is_reported_and_every_report_is_real(seed):
 
 
 def test_overshoot_between_knots_inside_the_range_is_found():
-    spline = Spline(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]]))  # a hump of height 1
+    spline = Spline(
+        np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])
+    )  # a hump of height 1
     found = limit_breaches(spline, Limits(upper=0.9, tolerance=0.0).widths(1))
     assert (len(found), found.time[0], found.what[0]) == (1, pytest.approx(0.5), 0)
     assert found.depth[0] == pytest.approx(0.1)

@@ -22,7 +22,9 @@ def test_jerk_and_acceleration_of_a_minimum_jerk_motion():
 
 
 def test_log_dimensionless_jerk_of_a_minimum_jerk_motion():
-    assert metrics.log_dimensionless_jerk(min_jerk(1001), 1e-3) == pytest.approx(np.log(720.0 / 1.875**2), abs=0.01)
+    assert metrics.log_dimensionless_jerk(min_jerk(1001), 1e-3) == pytest.approx(
+        np.log(720.0 / 1.875**2), abs=0.01
+    )
     assert metrics.log_dimensionless_jerk(np.ones((50, 2)), DT) == -np.inf
 
 

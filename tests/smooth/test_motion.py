@@ -1,4 +1,5 @@
-"""Tests for rules about motion, for longer soft ends, and for what a path asks of the servos: laws that hold whatever the robot."""
+"""Tests for rules about motion, for longer soft ends, and for what a path asks of the servos: laws
+that hold whatever the robot."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 
 from coordlog.errors import SpecError
-from coordlog.sim.inverse import Load
+from coordlog.kinematics.inverse_dynamics import Load
 from coordlog.smooth import Limits, Unobstructed, Verdict, fit, metrics, smooth
 from coordlog.smooth.ease import EASE, LONGER
 from coordlog.smooth.load import PathLoad
@@ -14,7 +15,9 @@ from coordlog.smooth.load import PathLoad
 
 def wave(n=120, *, noise=0.02):
     time = np.arange(n) * 0.04
-    return time, np.stack([np.sin(time), np.cos(2 * time)], axis=1) + noise * np.random.default_rng(0).normal(size=(n, 2))
+    return time, np.stack([np.sin(time), np.cos(2 * time)], axis=1) + noise * np.random.default_rng(
+        0
+    ).normal(size=(n, 2))
 
 
 class Moving(Unobstructed):
@@ -45,10 +48,15 @@ def test_a_rule_about_motion_is_asked_about_the_path_that_is_returned():
 
 
 def test_a_path_is_drawn_on_until_it_keeps_a_rule_about_motion():
-    """The rule: at the ninth knot no further than 0.01 rad from where the log is, which the smoothest path breaks."""
+    """The rule: at the ninth knot no further than 0.01 rad from where the log is, which the
+    smoothest path breaks."""
     time, q = wave()
     free = smooth(time, q, Unobstructed(2))
-    checker = Moving(lambda time, at, velocity, acceleration: np.where(time == time[8], abs(at - q).max(axis=1) - 0.01, -1.0))
+    checker = Moving(
+        lambda time, at, velocity, acceleration: np.where(
+            time == time[8], abs(at - q).max(axis=1) - 0.01, -1.0
+        )
+    )
     result = smooth(time, q, checker)
     assert abs(free.spline.position - q)[8].max() > 0.02
     assert result.status == "smoothed"
@@ -57,7 +65,11 @@ def test_a_path_is_drawn_on_until_it_keeps_a_rule_about_motion():
 
 def test_a_rule_that_the_log_breaks_as_badly_makes_it_partly_and_is_named():
     time, q = wave()
-    result = smooth(time, q, Moving(lambda time, q, velocity, acceleration: np.where(time == time[60], 0.003, -1.0)))
+    result = smooth(
+        time,
+        q,
+        Moving(lambda time, q, velocity, acceleration: np.where(time == time[60], 0.003, -1.0)),
+    )
     assert result.status == "partly"
     assert "the cup and its rim" in result.reason
     assert "0.003 m too close while moving" in result.reason
@@ -67,7 +79,12 @@ def test_a_rule_that_the_log_breaks_as_badly_makes_it_partly_and_is_named():
 
 def test_a_rule_that_only_the_log_keeps_leaves_the_log():
     time, q = wave()
-    result = smooth(time, q, Moving(lambda time, at, velocity, acceleration: abs(at - q).max(axis=1) - 1e-12), method="shared")
+    result = smooth(
+        time,
+        q,
+        Moving(lambda time, at, velocity, acceleration: abs(at - q).max(axis=1) - 1e-12),
+        method="shared",
+    )
     assert result.status == "kept_raw"
     assert "the cup and its rim" in result.reason
     assert (result.spline.position == q).all()
@@ -76,19 +93,27 @@ def test_a_rule_that_only_the_log_keeps_leaves_the_log():
 def test_an_answer_of_the_wrong_shape_is_refused():
     time, q = wave()
     checker = Unobstructed(2)
-    checker.moving = lambda time, q, velocity, acceleration: Verdict(np.ones(3, bool), np.zeros(3), np.full(3, -1))
+    checker.moving = lambda time, q, velocity, acceleration: Verdict(
+        np.ones(3, bool), np.zeros(3), np.full(3, -1)
+    )
     with pytest.raises(SpecError, match=r"checker.moving: expected three arrays of shape \(120,\)"):
         smooth(time, q, checker)
 
 
 def test_soft_ends_grow_longer_where_the_pace_allows():
-    """A longer ease is smoother and faster in the middle; no joint may be faster than its pace for it."""
+    """A longer ease is smoother and faster in the middle.
+
+    No joint may be faster than its pace for it.
+    """
     time, q = wave()
     short = smooth(time, q, Unobstructed(2), ends="soft", limits=Limits(pace=1e-6))
     free = smooth(time, q, Unobstructed(2), ends="soft")
     assert (short.ease, free.ease) == (EASE, LONGER[0])
     assert free.after.jerk < 0.95 * short.after.jerk
-    fastest = {result.ease: abs(result.spline(np.linspace(0.0, time[-1], 999), 1)).max() for result in (short, free)}
+    fastest = {
+        result.ease: abs(result.spline(np.linspace(0.0, time[-1], 999), 1)).max()
+        for result in (short, free)
+    }
     between = 0.5 * (fastest[EASE] + fastest[LONGER[0]])
     paced = smooth(time, q, Unobstructed(2), ends="soft", limits=Limits(pace=between))
     assert EASE < paced.ease < LONGER[0]
@@ -101,15 +126,22 @@ def test_soft_ends_grow_longer_where_the_pace_allows():
 def test_longer_soft_ends_keep_every_rule_too():
     """A window that the path with short ends passes and those with longer ends do not."""
     time, q = wave()
-    limits = Limits(upper=smooth(time, q, Unobstructed(2), ends="soft", limits=Limits(pace=1e-6)).spline.position.max(axis=0))
+    limits = Limits(
+        upper=smooth(
+            time, q, Unobstructed(2), ends="soft", limits=Limits(pace=1e-6)
+        ).spline.position.max(axis=0)
+    )
     result = smooth(time, q, Unobstructed(2), ends="soft", limits=limits)
     assert (result.spline(np.linspace(0.0, time[-1], 999)) <= limits.upper + limits.tolerance).all()
     assert result.certified
 
 
 def load_of(path, torque):
-    """Figures where torques are any function of the motion, and the balance is what is left of 1 m/s²."""
-    inverse = lambda time, q, velocity, acceleration: Load(torque(q, velocity, acceleration), 1.0 - abs(acceleration).max(axis=1))  # noqa: E731
+    """Figures where torques are any function of the motion, and the balance is what is left of 1
+    m/s²."""
+    inverse = lambda time, q, velocity, acceleration: Load(
+        torque(q, velocity, acceleration), 1.0 - abs(acceleration).max(axis=1)
+    )  # noqa: E731
     return PathLoad.of(path, inverse, 0.04)
 
 
@@ -117,17 +149,23 @@ def test_where_torque_is_acceleration_its_rate_is_the_jerk():
     time, q = wave()
     load = load_of(fit(time, q, lam=0.0), lambda q, velocity, acceleration: acceleration)
     assert load.rate == pytest.approx(metrics.jerk(q, 0.04) * np.sqrt(len(q) / (len(q) + 1)))
-    assert load.peak == pytest.approx(abs(np.diff(np.pad(q, ((2, 2), (0, 0)), mode="edge"), 2, axis=0)).max() / 0.04**2)
+    assert load.peak == pytest.approx(
+        abs(np.diff(np.pad(q, ((2, 2), (0, 0)), mode="edge"), 2, axis=0)).max() / 0.04**2
+    )
     assert load.balance == pytest.approx(1.0 - load.peak)
     assert load.floor == 0.0
 
 
 def test_no_path_between_the_same_ends_has_a_smaller_rate_than_the_floor():
     time, q = wave()
-    paths = [fit(time, q, lam=lam) for lam in (0.0, 1e-3, 1.0)] + [smooth(time, q, Unobstructed(2), ends="soft").spline]
+    paths = [fit(time, q, lam=lam) for lam in (0.0, 1e-3, 1.0)] + [
+        smooth(time, q, Unobstructed(2), ends="soft").spline
+    ]
     loads = [load_of(path, lambda q, velocity, acceleration: np.sin(q)) for path in paths]
     assert {round(load.floor, 9) for load in loads} == {round(loads[0].floor, 9)}
     assert 0.0 < loads[0].floor < min(load.rate for load in loads)
     steady = fit(time, np.linspace(0.0, 1.0, len(time))[:, None] * [1.0, -2.0], lam=0.0)
     straight = load_of(steady, lambda q, velocity, acceleration: q)
-    assert straight.rate == pytest.approx(straight.floor, rel=0.02)  # reached, but for the rest ahead and behind
+    assert straight.rate == pytest.approx(
+        straight.floor, rel=0.02
+    )  # reached, but for the rest ahead and behind

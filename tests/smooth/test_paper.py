@@ -8,12 +8,14 @@ from coordlog.smooth import Limits, Unobstructed, smooth
 from coordlog.smooth.cutoff import p_from_lam
 from coordlog.smooth.paper import _Knots, search
 from coordlog.smooth.smoother import Config, _end_slopes, _problem, clean
-
-from .planar import PlanarArm, noisy_log
+from tests.smooth.planar import PlanarArm, noisy_log
 
 
 def plainly(time, q, checker, *, precision=1e-6):
-    """Algorithms 2 to 4: refit one joint with csaps, check every knot, halve; p of each joint, or None."""
+    """Algorithms 2 to 4: refit one joint with csaps, check every knot, halve.
+
+    P of each joint, or None.
+    """
     index, weight = np.arange(len(time)), np.ones(len(time))
     weight[[0, -1]] = np.inf
     path, p = q.copy(), []
@@ -54,7 +56,8 @@ def test_same_p_as_the_plain_search(seed):
 
 
 class Sum(Unobstructed):
-    """|q0 + q1| below a height: each joint turned by a radian costs exactly one, so the bound on motion is tight."""
+    """|q0 + q1| below a height: each joint turned by a radian costs exactly one, so the bound on
+    motion is tight."""
 
     def __init__(self, height):
         self.height, self.reach = height, np.ones((2, 2))
@@ -67,7 +70,11 @@ class Sum(Unobstructed):
 def wobbly(height):
     time = np.linspace(0.0, 3.0, 100)
     wobble = 0.02 * np.random.default_rng(0).normal(size=(100, 2))
-    return time, np.stack([0.5 * np.sin(5 * time), 0.45 * np.sin(5 * time + 0.2)], axis=1) + wobble, Sum(height)
+    return (
+        time,
+        np.stack([0.5 * np.sin(5 * time), 0.45 * np.sin(5 * time + 0.2)], axis=1) + wobble,
+        Sum(height),
+    )
 
 
 @pytest.mark.parametrize("height", [0.9, 1.02, 1.05, 1.2])
@@ -158,7 +165,10 @@ def test_a_path_that_collides_between_knots_is_not_returned():
 
 def test_joints_left_as_they_were_are_named():
     time = np.linspace(0.0, 1.0, 60)
-    q = np.stack([np.sin(5 * time) + 0.02 * np.random.default_rng(0).normal(size=60), np.cos(3 * time)], axis=1)
+    q = np.stack(
+        [np.sin(5 * time) + 0.02 * np.random.default_rng(0).normal(size=60), np.cos(3 * time)],
+        axis=1,
+    )
 
     class Frozen:  # the second joint must keep its samples exactly
         def check(self, when, angles, clearance):
@@ -166,7 +176,9 @@ def test_joints_left_as_they_were_are_named():
 
             expected = np.interp(when, time, q[:, 1])
             exact = np.isin(when, time)
-            return Verdict.from_slack(np.where(exact, 1e-12 - abs(angles[:, 1] - expected), 1.0)[:, None])
+            return Verdict.from_slack(
+                np.where(exact, 1e-12 - abs(angles[:, 1] - expected), 1.0)[:, None]
+            )
 
         def describe(self, what):
             return "the second joint"

@@ -1,4 +1,5 @@
-"""What is returned as proven is free, checked by code that shares nothing with the search or its checker."""
+"""What is returned as proven is free, checked by code that shares nothing with the search or its
+checker."""
 
 import numpy as np
 import pytest
@@ -6,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordlog.smooth import Limits, fit, smooth
-
-from .planar import noisy_log
+from tests.smooth.planar import noisy_log
 
 GENERATED = {"max_examples": 12, "deadline": None, "derandomize": True}
 
@@ -15,10 +15,18 @@ GENERATED = {"max_examples": 12, "deadline": None, "derandomize": True}
 def gaps(arm, time, q):
     """Smallest distance to a disc and between links of each configuration, in complex numbers."""
     base = arm.sway * np.sin(5.0 * time)[:, None] + 0j
-    joints = np.hstack([base, base + np.cumsum(arm.lengths * np.exp(1j * np.cumsum(q, axis=1)), axis=1)])
+    joints = np.hstack(
+        [base, base + np.cumsum(arm.lengths * np.exp(1j * np.cumsum(q, axis=1)), axis=1)]
+    )
     links = [(joints[:, i], joints[:, i + 1]) for i in range(q.shape[1])]
-    discs = [point_gap(complex(x, y), a, b) - r - arm.radius for x, y, r in arm.discs for a, b in links]
-    pairs = [link_gap(*links[i], *links[k]) - 2 * arm.radius for i in range(len(links)) for k in range(i + 2, len(links))]
+    discs = [
+        point_gap(complex(x, y), a, b) - r - arm.radius for x, y, r in arm.discs for a, b in links
+    ]
+    pairs = [
+        link_gap(*links[i], *links[k]) - 2 * arm.radius
+        for i in range(len(links))
+        for k in range(i + 2, len(links))
+    ]
     return np.min(discs + pairs, axis=0)
 
 
@@ -29,7 +37,9 @@ def point_gap(point, a, b):
 
 def link_gap(a, b, c, d):
     one, other = (c - a) / (b - a), (d - a) / (b - a)  # c and d as seen from a link laid on [0, 1]
-    ends = np.min([point_gap(a, c, d), point_gap(b, c, d), point_gap(c, a, b), point_gap(d, a, b)], axis=0)
+    ends = np.min(
+        [point_gap(a, c, d), point_gap(b, c, d), point_gap(c, a, b), point_gap(d, a, b)], axis=0
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         cross = one.real + (other - one).real * one.imag / (one.imag - other.imag)
     return np.where((one.imag * other.imag < 0) & (cross >= 0.0) & (cross <= 1.0), 0.0, ends)
@@ -53,9 +63,16 @@ def sixteen_per_knot(time, seed):
 
 @pytest.mark.parametrize("method", ["local", "shared", "paper"])
 @settings(**GENERATED)
-@given(seed=st.integers(0, 2**31), noise=st.floats(0.0, 0.04), margin=st.floats(0.001, 0.02), sway=st.sampled_from([0.0, 0.002]))
+@given(
+    seed=st.integers(0, 2**31),
+    noise=st.floats(0.0, 0.04),
+    margin=st.floats(0.001, 0.02),
+    sway=st.sampled_from([0.0, 0.002]),
+)
 def test_returned_paths_are_as_safe_as_their_status_says(method, seed, noise, margin, sway):
-    time, q, arm = noisy_log(np.random.default_rng(seed), n=50, links=5, noise=noise, margin=margin, sway=sway)
+    time, q, arm = noisy_log(
+        np.random.default_rng(seed), n=50, links=5, noise=noise, margin=margin, sway=sway
+    )
     result = smooth(time, q, arm, method=method)
     when = sixteen_per_knot(time, seed)
     smallest = gaps(arm, when, result.spline(when)).min()
@@ -94,7 +111,12 @@ def test_clearance_asked_is_clearance_kept_or_said(seed, clearance):
 @given(seed=st.integers(0, 2**31), deviation=st.floats(0.01, 0.3))
 def test_deviation_and_limits_hold_between_samples(seed, deviation):
     time, q, arm = noisy_log(np.random.default_rng(seed), n=60, links=4, discs=2)
-    limits = Limits(lower=q.min(axis=0) - 1e-3, upper=q.max(axis=0), speed=1.2 * abs(np.diff(q, axis=0)).max() / time[1], tolerance=0.0)
+    limits = Limits(
+        lower=q.min(axis=0) - 1e-3,
+        upper=q.max(axis=0),
+        speed=1.2 * abs(np.diff(q, axis=0)).max() / time[1],
+        tolerance=0.0,
+    )
     result = smooth(time, q, arm, limits=limits, max_deviation=deviation)
     fine = np.linspace(time[0], time[-1], 5000)
     if result.status == "smoothed":

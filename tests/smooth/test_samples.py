@@ -36,7 +36,9 @@ def test_evaluation_is_the_splines():
     spline = fit(time, np.random.default_rng(1).normal(size=(37, 3)), lam=1e-6)
     samples = Samples(time, 4)
     index = np.random.default_rng(2).permutation(len(samples.time))[:50]
-    np.testing.assert_allclose(samples(spline, index), spline(samples.time[index]), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        samples(spline, index), spline(samples.time[index]), rtol=0, atol=1e-13
+    )
 
 
 def test_near_and_nearest():

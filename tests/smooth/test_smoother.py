@@ -1,4 +1,5 @@
-"""What `smooth` promises: statuses and reasons, ends, limits, bad input, and what it records about itself."""
+"""What `smooth` promises: statuses and reasons, ends, limits, bad input, and what it records about
+itself."""
 
 import subprocess
 import sys
@@ -14,15 +15,16 @@ from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
 from coordlog.smooth.judge import Judge
 from coordlog.smooth.knots import clean
-
-from .planar import PlanarArm, noisy_log
+from tests.smooth.planar import PlanarArm, noisy_log
 
 FREE = Unobstructed(2)
 
 
 def wave(n=100, *, noise=0.02, seed=0):
     time = np.linspace(0.0, 2.0, n)
-    return time, np.stack([np.sin(2 * time), np.cos(3 * time)], axis=1) + noise * np.random.default_rng(seed).normal(size=(n, 2))
+    return time, np.stack(
+        [np.sin(2 * time), np.cos(3 * time)], axis=1
+    ) + noise * np.random.default_rng(seed).normal(size=(n, 2))
 
 
 class Ceiling:
@@ -166,10 +168,19 @@ class Walls(Ceiling):
 
 
 def rise(noise=0.003):
-    """The first joint ends as high as it gets; the second would swing out at the end if it might, and does not."""
+    """The first joint ends as high as it gets.
+
+    The second would swing out at the end if it might, and does not.
+    """
     time = np.linspace(0.0, 2.0, 101)
-    wobble = noise * np.random.default_rng(0).normal(size=(101, 2)) * np.minimum(1.0, 2.0 - time)[:, None]
-    return time, np.stack([1.0 - 0.5 * (time - 2.0) ** 2, -0.5 * time * (2.0 - time)], axis=1) + wobble
+    wobble = (
+        noise
+        * np.random.default_rng(0).normal(size=(101, 2))
+        * np.minimum(1.0, 2.0 - time)[:, None]
+    )
+    return time, np.stack(
+        [1.0 - 0.5 * (time - 2.0) ** 2, -0.5 * time * (2.0 - time)], axis=1
+    ) + wobble
 
 
 def test_clearance_that_the_end_point_lacks_costs_little_smoothness():
@@ -187,7 +198,9 @@ def test_a_pair_excused_hides_no_other(certify):
     time = np.linspace(0.0, 2.0, 101)
     q = np.stack([np.full(101, 1.0), -0.5 * time * (2.0 - time)], axis=1)
 
-    class Both(Walls):  # the first joint is 4 cm short of the left wall all along; the right one comes out in mid-path
+    class Both(
+        Walls
+    ):  # the first joint is 4 cm short of the left wall all along; the right one comes out in mid-path
         def slack(self, when, angles, clearance):
             out = -0.28 + 5.0 * np.maximum(0.0, abs(when - 1.0) - 0.3)
             return np.stack([1.01 - angles[:, 0], out - angles[:, 1]], axis=1) - clearance
@@ -196,8 +209,12 @@ def test_a_pair_excused_hides_no_other(certify):
             return np.full((len(start), 2), 5.0)
 
     knots, config = clean(time, q), Config(clearance=0.05, certify=certify)
-    judge = Judge(Both(None), knots, coordlog.smooth.fit(time, q, lam=0.0), limits=Limits(), config=config)
-    proof = judge.prove(coordlog.smooth.fit(time, q * [1.0, 0.67], lam=0.0))  # 25 mm short of the right wall
+    judge = Judge(
+        Both(None), knots, coordlog.smooth.fit(time, q, lam=0.0), limits=Limits(), config=config
+    )
+    proof = judge.prove(
+        coordlog.smooth.fit(time, q * [1.0, 0.67], lam=0.0)
+    )  # 25 mm short of the right wall
     assert set(proof.found.what) == {1}
     assert 0.0 < proof.found.depth.max() < 0.03
     result = smooth(time, q, Both(None), clearance=0.05, certify=certify, cutoff=0.01)
@@ -211,7 +228,9 @@ def test_other_pairs_keep_their_clearance_between_samples():
     time = np.linspace(0.0, 2.0, 101)
     q = np.stack([np.full(101, 1.0), -0.5 * time * (2.0 - time)], axis=1)
 
-    class Spike(Walls):  # the left wall is too close throughout; the right one comes 4 cm nearer for 4 ms
+    class Spike(
+        Walls
+    ):  # the left wall is too close throughout; the right one comes 4 cm nearer for 4 ms
         def slack(self, when, angles, clearance):
             spike = 0.04 * np.maximum(0.0, 1.0 - abs(when - 1.005) / 0.002)
             return np.stack([1.01 - angles[:, 0], 0.08 - spike - angles[:, 1]], axis=1) - clearance
@@ -229,12 +248,19 @@ def test_pairs_that_are_merely_close_do_not_hide_a_collision_of_the_log():
     q = np.ones((101, 2)) + 0.001 * np.random.default_rng(0).normal(size=(101, 2))
     q[[0, -1]] = 1.0
 
-    class Three(Walls):  # two are 3 and 2 cm away throughout; the third comes out to touch for 4 ms between two samples
+    class Three(
+        Walls
+    ):  # two are 3 and 2 cm away throughout; the third comes out to touch for 4 ms between two samples
         reach = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
         def slack(self, when, angles, clearance):
             spike = 0.1 * np.maximum(0.0, 1.0 - abs(when - 1.005) / 0.002)
-            return np.stack([1.02 - angles[:, 0], 1.03 - angles[:, 0], 1.08 - spike - angles[:, 1]], axis=1) - clearance
+            return (
+                np.stack(
+                    [1.02 - angles[:, 0], 1.03 - angles[:, 0], 1.08 - spike - angles[:, 1]], axis=1
+                )
+                - clearance
+            )
 
         def drift(self, start, stop):
             return np.where((stop > 1.003) & (start < 1.007), 50.0, 0.0)[:, None] * np.ones(3)
@@ -254,7 +280,9 @@ def test_an_end_point_alone_may_lack_clearance():
 
 def test_an_end_that_collides_excuses_nothing_in_mid_path():
     time = np.linspace(0.0, 2.0, 101)
-    q = np.stack([1.0 - time * (2.0 - time), np.zeros(101)], axis=1)  # from 1 down to 0 and up again
+    q = np.stack(
+        [1.0 - time * (2.0 - time), np.zeros(101)], axis=1
+    )  # from 1 down to 0 and up again
     result = smooth(time, q, Walls([0.95, 9.0]))
     assert (result.status, result.certified) == ("raw_infeasible", False)
     assert result.spline(np.linspace(0.3, 1.7, 500))[:, 0].max() <= 0.95
@@ -262,7 +290,9 @@ def test_an_end_that_collides_excuses_nothing_in_mid_path():
 
 def test_speed_kept_by_the_log_is_kept_by_the_path():
     time = np.linspace(0.0, 2.0, 101)
-    q = np.stack([0.6 * time, np.zeros(101)], axis=1)  # constant speed; from rest to rest it would have to hurry
+    q = np.stack(
+        [0.6 * time, np.zeros(101)], axis=1
+    )  # constant speed; from rest to rest it would have to hurry
     q[:5, 0], q[-5:, 0] = q[4, 0], q[-5, 0]
     limit = 0.7
     assert abs(smooth(time, q, FREE).spline(time, 1)).max() > limit
@@ -271,7 +301,10 @@ def test_speed_kept_by_the_log_is_kept_by_the_path():
     assert abs(result.spline(np.linspace(0.0, 2.0, 4000), 1)).max() <= limit
 
 
-@pytest.mark.parametrize(("limits", "kind"), [(Limits(speed=[0.3, 9.0]), "speed"), (Limits(acceleration=0.05), "acceleration")])
+@pytest.mark.parametrize(
+    ("limits", "kind"),
+    [(Limits(speed=[0.3, 9.0]), "speed"), (Limits(acceleration=0.05), "acceleration")],
+)
 def test_speed_that_the_log_exceeds_too_is_said(limits, kind):
     time, q = wave()
     result = smooth(time, q, FREE, limits=limits, joints=("elbow", "wrist"))
@@ -285,7 +318,11 @@ def test_speed_that_the_log_exceeds_is_not_exceeded_further():
     time = np.linspace(0.0, 2.0, 101)
     q = 0.6 * time[:, None] * [1.0, 0.0]
     result = smooth(time, q, FREE, limits=Limits(speed=0.59), ends="rest")
-    raw = abs(coordlog.smooth.fit(time, q, lam=0.0, velocity=np.zeros((2, 2)))(np.linspace(0.0, 2.0, 5000), 1)).max()
+    raw = abs(
+        coordlog.smooth.fit(time, q, lam=0.0, velocity=np.zeros((2, 2)))(
+            np.linspace(0.0, 2.0, 5000), 1
+        )
+    ).max()
     assert (result.status, result.violation.kind) == ("partly", "speed")
     assert 0.01 < result.violation.depth <= raw - 0.59 + 1e-9
 
@@ -294,7 +331,11 @@ def test_an_end_out_of_range_cannot_be_mended():
     time, q = wave()
     limits = Limits(lower=-5.0, upper=[q[-1, 0] - 0.1 + 2.0, q[-1, 1] - 0.1])
     result = smooth(time, q, FREE, limits=limits)
-    assert (result.status, result.violation.kind, result.violation.what) == ("raw_infeasible", "range", "joint 1")
+    assert (result.status, result.violation.kind, result.violation.what) == (
+        "raw_infeasible",
+        "range",
+        "joint 1",
+    )
 
 
 def test_a_log_that_collides_between_its_samples_is_smoothed_elsewhere():
@@ -315,7 +356,11 @@ def test_grazing_throughout_is_given_up_soon():
     time, q = wave()
     q[:, 0] = 0.8
     result = smooth(time, q, Grazing(0.8))
-    assert (result.status, result.certified, result.violation.kind) == ("kept_raw", False, "unproven")
+    assert (result.status, result.certified, result.violation.kind) == (
+        "kept_raw",
+        False,
+        "unproven",
+    )
     assert "too close to be proven free" in result.reason
     assert result.checks < 20 * 4 * 100
 
@@ -361,7 +406,9 @@ def test_local_asks_little():
     time, q, arm = noisy_log(np.random.default_rng(1))
     result = smooth(time, q, arm)
     assert result.status == "smoothed"
-    assert result.checks + result.slacks < 150 * 20  # the paper's search asks 150 x 20 for one joint of eight
+    assert (
+        result.checks + result.slacks < 150 * 20
+    )  # the paper's search asks 150 x 20 for one joint of eight
     assert result.after.jerk < 0.05 * result.before.jerk
 
 
@@ -380,7 +427,11 @@ def test_balance_is_a_pair_like_any_other():
     rng = np.random.default_rng(1)
     time, q, arm = noisy_log(rng, n=80, links=5, discs=0)
     p = arm.points(time, q)
-    com = abs((0.5 * (p[:, :-1] + p[:, 1:]) * (arm.lengths / arm.lengths.sum())[:, None]).sum(axis=1)[:, 0]).max()
+    com = abs(
+        (0.5 * (p[:, :-1] + p[:, 1:]) * (arm.lengths / arm.lengths.sum())[:, None]).sum(axis=1)[
+            :, 0
+        ]
+    ).max()
     tight = PlanarArm(arm.lengths, [], balance=com + 0.002)
     fine = np.linspace(time[0], time[-1], 5000)
     tipping = smooth(time, q, arm).spline(fine)
@@ -415,7 +466,10 @@ def test_the_result_is_frozen_and_says_what_it_cost():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cutof": 3.0}, "unknown option 'cutof'; choose one of: budget, certify, clearance, cutoff"),
+        (
+            {"cutof": 3.0},
+            "unknown option 'cutof'; choose one of: budget, certify, clearance, cutoff",
+        ),
         ({"method": "global"}, "unknown method 'global'; choose one of: local, paper, shared"),
         ({"ends": "loose"}, "unknown ends 'loose'"),
         ({"cutoff": 0.0}, "cutoff: expected 'max' or a frequency above 0 Hz, got 0.0"),
@@ -424,7 +478,10 @@ def test_the_result_is_frozen_and_says_what_it_cost():
         ({"clearance": float("nan")}, "clearance: expected a distance of at least 0 m"),
         ({"dense": 0}, "dense, budget: expected at least 1"),
         ({"ends": "keep"}, "end_velocity: needed with ends='keep'"),
-        ({"end_velocity": np.zeros((2, 2))}, "end_velocity: needed with ends='keep', and only there"),
+        (
+            {"end_velocity": np.zeros((2, 2))},
+            "end_velocity: needed with ends='keep', and only there",
+        ),
     ],
 )
 def test_bad_options_are_refused_in_a_sentence(options, message):
@@ -439,7 +496,9 @@ def test_bad_arrays_are_refused_in_a_sentence():
         smooth(time, q, FREE, ends="keep", end_velocity=[1.0, 2.0])
     with pytest.raises(SpecError, match="joints: expected 2 names, got 1"):
         smooth(time, q, FREE, joints=("elbow",))
-    with pytest.raises(SpecError, match=r"checker: expected slack of shape \(2, P\) and reach of shape \(P, 2\)"):
+    with pytest.raises(
+        SpecError, match=r"checker: expected slack of shape \(2, P\) and reach of shape \(P, 2\)"
+    ):
         smooth(time, q, Unobstructed(3))
 
 

@@ -1,4 +1,5 @@
-"""The spline kernel against csaps, scipy, fifty digits, and what must be true of any smoothing spline."""
+"""The spline kernel against csaps, scipy, fifty digits, and what must be true of any smoothing
+spline."""
 
 import mpmath
 import numpy as np
@@ -27,7 +28,8 @@ def exact_ends(n):
 
 
 def fifty_digits(time, value, lam, weight, velocity):
-    """The same minimum by another road: cubic Hermite elements, λ in s³, dense elimination in 50 digits."""
+    """The same minimum by another road: cubic Hermite elements, λ in s³, dense elimination in 50
+    digits."""
     mpmath.mp.dps = 50
     n, t = len(time), [mpmath.mpf(float(x)) for x in time]
     stiff, load = mpmath.zeros(2 * n), mpmath.zeros(2 * n, 1)
@@ -80,7 +82,9 @@ def test_csaps_agrees_for_all_p(p, jitter, ends):
     weight = exact_ends(150) if ends == "exact" else np.random.default_rng(1).uniform(0.5, 2.0, 150)
     fine = np.linspace(time[0], time[-1], 1000)
     spline = fit(time, value, lam=(1.0 - p) / p, weight=weight)
-    np.testing.assert_allclose(spline(fine), csaps(time, value.T, fine, smooth=p, weights=weight).T, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(
+        spline(fine), csaps(time, value.T, fine, smooth=p, weights=weight).T, rtol=0, atol=2e-8
+    )
 
 
 @pytest.mark.parametrize("lam", [1e-8, 1e-4, 1.0])
@@ -95,12 +99,20 @@ def test_scipy_agrees_where_it_is_accurate(lam):
 
 def test_without_smoothing_it_is_the_natural_or_clamped_interpolant():
     time, value = samples(60, jitter=1.0)
-    fine, velocity = np.linspace(time[0], time[-1], 500), np.array([[0.1, -0.2, 0.3], [0.0, 0.5, -0.5]])
+    fine, velocity = (
+        np.linspace(time[0], time[-1], 500),
+        np.array([[0.1, -0.2, 0.3], [0.0, 0.5, -0.5]]),
+    )
     natural = CubicSpline(time, value, bc_type="natural")
     np.testing.assert_allclose(fit(time, value, lam=0.0)(fine), natural(fine), rtol=0, atol=1e-12)
     clamped = CubicSpline(time, value, bc_type=((1, velocity[0]), (1, velocity[1])))
     for nu, scale in enumerate((1e-12, 1e-10, 1e-8, 1e-5)):
-        np.testing.assert_allclose(fit(time, value, lam=0.0, velocity=velocity)(fine, nu), clamped(fine, nu), rtol=0, atol=scale)
+        np.testing.assert_allclose(
+            fit(time, value, lam=0.0, velocity=velocity)(fine, nu),
+            clamped(fine, nu),
+            rtol=0,
+            atol=scale,
+        )
 
 
 def test_at_infinite_smoothing_it_is_the_weighted_line():
@@ -118,7 +130,9 @@ def test_at_infinite_smoothing_between_clamped_ends_it_is_the_hermite_cubic():
     velocity = np.array([[0.1, -0.2, 0.3], [0.0, 0.5, -0.5]])
     two = fit(time[[0, -1]], value[[0, -1]], lam=0.0, velocity=velocity)
     for lam, close in ((np.inf, 1e-8), (1e6, 1e-4)):
-        np.testing.assert_allclose(fit(time, value, lam=lam, velocity=velocity).position, two(time), rtol=0, atol=close)
+        np.testing.assert_allclose(
+            fit(time, value, lam=lam, velocity=velocity).position, two(time), rtol=0, atol=close
+        )
     assert abs(two(np.linspace(time[0], time[-1], 9), 3) - two(time[:1], 3)).max() < 1e-9
 
 
@@ -145,7 +159,9 @@ def test_ends_are_exact_and_derivatives_continuous(lam, clamped):
         assert abs(spline(time[[0, -1]], 2)).max() < 1e-8 * (1.0 + abs(spline(time, 2)).max())
     before, after = spline.ppoly.c[:, :-1], spline.ppoly.c[:, 1:]
     h = np.diff(time)[:-1, None]
-    assert abs(((before[0] * h + before[1]) * h + before[2]) * h + before[3] - after[3]).max() < 1e-13
+    assert (
+        abs(((before[0] * h + before[1]) * h + before[2]) * h + before[3] - after[3]).max() < 1e-13
+    )
     assert abs((3 * before[0] * h + 2 * before[1]) * h + before[2] - after[2]).max() < 1e-10
     assert abs(6 * before[0] * h + 2 * before[1] - 2 * after[1]).max() < 1e-9 / DT**2
 
@@ -170,7 +186,10 @@ def test_constant_joints_stay_bit_for_bit():
 @given(st.floats(-8.0, 2.0), st.booleans(), st.integers(0, 10_000))
 def test_invariances(log_lam, clamped, seed):
     time, value = samples(40, jitter=1.0, seed=seed)
-    lam, velocity = 10.0**log_lam, np.random.default_rng(seed).normal(size=(2, 3)) if clamped else None
+    lam, velocity = (
+        10.0**log_lam,
+        np.random.default_rng(seed).normal(size=(2, 3)) if clamped else None,
+    )
     mix = np.random.default_rng(seed + 1).normal(size=(3, 3))
     path = fit(time, value, lam=lam, velocity=velocity).position
     v = (lambda change: None) if velocity is None else (lambda change: change(velocity))
@@ -179,8 +198,16 @@ def test_invariances(log_lam, clamped, seed):
     slower = fit(2.0 * time, value, lam=8.0 * lam, velocity=v(lambda x: x / 2.0)).position
     backward = fit(-time[::-1], value[::-1], lam=lam, velocity=v(lambda x: -x[::-1])).position[::-1]
     mixed = fit(time, value @ mix, lam=lam, velocity=v(lambda x: x @ mix)).position
-    heavier = fit(time, value, lam=5.0 * lam, weight=5.0 * exact_ends(40), velocity=velocity).position
-    for other, expected in ((shifted, path), (slower, path), (backward, path), (mixed, path @ mix), (heavier, path)):
+    heavier = fit(
+        time, value, lam=5.0 * lam, weight=5.0 * exact_ends(40), velocity=velocity
+    ).position
+    for other, expected in (
+        (shifted, path),
+        (slower, path),
+        (backward, path),
+        (mixed, path @ mix),
+        (heavier, path),
+    ):
         np.testing.assert_allclose(other, expected, rtol=0, atol=1e-9)
 
 
@@ -198,7 +225,9 @@ def test_long_paths_stay_accurate():
     time, value = samples(15_000, joints=1)
     spline = fit(time, value, lam=1e6, velocity=np.zeros((2, 1)))
     assert np.isfinite(spline.position).all()
-    assert abs(np.diff(spline.ppoly.c[1, :, 0])).max() < 1e-2  # no noise where the curve is all but straight
+    assert (
+        abs(np.diff(spline.ppoly.c[1, :, 0])).max() < 1e-2
+    )  # no noise where the curve is all but straight
 
 
 def test_evaluation_is_scipys():

@@ -1,4 +1,5 @@
-"""The learner against oracles written from the equations: DDPG, sums of gradients, finite differences."""
+"""The learner against oracles written from the equations: DDPG, sums of gradients, finite
+differences."""
 
 from __future__ import annotations
 
@@ -39,11 +40,27 @@ def batch(rng: np.random.Generator, k: int, *, size: int = B, imitated: float = 
 
     discount = DDPG.gamma * (draw(size, 1) <= 1).to(torch.get_default_dtype())
     action, weight = draw(size, N_U).clamp(-1, 1), torch.full((size, 1), imitated)
-    return Batch(draw(size, N_X), action, draw(size, k), draw(size, N_X), discount, weight, draw(size, N_U).clamp(-1, 1))
+    return Batch(
+        draw(size, N_X),
+        action,
+        draw(size, k),
+        draw(size, N_X),
+        discount,
+        weight,
+        draw(size, N_U).clamp(-1, 1),
+    )
 
 
-def learner(arms: dict[str, list[int]], *, network: NetworkConfig = PLAIN, config: LearnerConfig = DDPG, seed: int = 0) -> Learner:
-    return Learner(N_X, gradient_mask(arms, N_U), network=network, config=config, bounds=BOUNDS, seed=seed)
+def learner(
+    arms: dict[str, list[int]],
+    *,
+    network: NetworkConfig = PLAIN,
+    config: LearnerConfig = DDPG,
+    seed: int = 0,
+) -> Learner:
+    return Learner(
+        N_X, gradient_mask(arms, N_U), network=network, config=config, bounds=BOUNDS, seed=seed
+    )
 
 
 def gradient(made: Learner) -> Tensor:
@@ -52,14 +69,23 @@ def gradient(made: Learner) -> Tensor:
 
 
 class PlainDdpg:
-    """Lillicrap et al. 2016, Algorithm 1, with networks of `nn.Linear`; starts from the weights of a learner."""
+    """Lillicrap et al. 2016, Algorithm 1, with networks of `nn.Linear`.
+
+    Starts from the weights of a learner.
+    """
 
     def __init__(self, source: Learner, config: LearnerConfig) -> None:
         self.config = config
         self.actor, self.actor_target = (self._copy(source.actor.mlp, nn.Tanh()) for _ in range(2))
-        self.critic, self.critic_target = (self._copy(source.critic.mlp, nn.Identity()) for _ in range(2))
-        self.actor_adam = torch.optim.Adam(self.actor.parameters(), lr=config.actor_rate, fused=False)
-        self.critic_adam = torch.optim.Adam(self.critic.parameters(), lr=config.critic_rate, fused=False)
+        self.critic, self.critic_target = (
+            self._copy(source.critic.mlp, nn.Identity()) for _ in range(2)
+        )
+        self.actor_adam = torch.optim.Adam(
+            self.actor.parameters(), lr=config.actor_rate, fused=False
+        )
+        self.critic_adam = torch.optim.Adam(
+            self.critic.parameters(), lr=config.critic_rate, fused=False
+        )
 
     @staticmethod
     def _copy(mlp: nn.Module, last: nn.Module) -> nn.Sequential:
@@ -99,12 +125,17 @@ def test_one_task_is_ddpg(rng: np.random.Generator) -> None:
     state, action = batch(rng, 1)[:2]
     torch.testing.assert_close(made.actor(state), oracle.actor(state), rtol=0, atol=1e-9)
     both = torch.cat((state, action), dim=1)
-    torch.testing.assert_close(made.critic(state, action)[0], oracle.critic(both), rtol=0, atol=1e-9)
-    torch.testing.assert_close(made.target_critic(state, action)[0], oracle.critic_target(both), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        made.critic(state, action)[0], oracle.critic(both), rtol=0, atol=1e-9
+    )
+    torch.testing.assert_close(
+        made.target_critic(state, action)[0], oracle.critic_target(both), rtol=0, atol=1e-9
+    )
 
 
 def restricted(made: Learner, state: Tensor, weights: Tensor, at: Tensor) -> Tensor:
-    """Σ_i mean Q_i(s, a_i), where a_i follows μ by the share `weights`[i] of each action and otherwise stays at `at`."""
+    """Σ_i mean Q_i(s, a_i), where a_i follows μ by the share `weights`[i] of each action and
+    otherwise stays at `at`."""
     action = made.actor(state)
     total = torch.zeros(())
     for head, share in enumerate(weights):
@@ -115,7 +146,9 @@ def restricted(made: Learner, state: Tensor, weights: Tensor, at: Tensor) -> Ten
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("arms", [TWO_ARMS, APART, {"a": [0, 1], "b": [0, 1, 2], "c": [0, 3]}])
-def test_the_actors_gradient_is_equation_3_by_finite_differences(arms: dict[str, list[int]], rng: np.random.Generator) -> None:
+def test_the_actors_gradient_is_equation_3_by_finite_differences(
+    arms: dict[str, list[int]], rng: np.random.Generator
+) -> None:
     made, data = learner(arms), batch(rng, len(arms))
     before = [parameter.detach().clone() for parameter in made.actor.parameters()]
     made.update(data)
@@ -151,11 +184,18 @@ def per_task(arms: dict[str, list[int]], data: Batch) -> tuple[Learner, list[Ten
 def pushed(seed_actor: Learner, data: Batch, ascent: Tensor) -> Tensor:
     """∇_θ of mean ascentᵀ μ(s), for an actor that has not been updated."""
     loss = -(ascent * seed_actor.actor(data.state)).sum() / B
-    return torch.cat([part.reshape(-1) for part in torch.autograd.grad(loss, tuple(seed_actor.actor.parameters()))])
+    return torch.cat(
+        [
+            part.reshape(-1)
+            for part in torch.autograd.grad(loss, tuple(seed_actor.actor.parameters()))
+        ]
+    )
 
 
 @pytest.mark.usefixtures("double")
-def test_without_shared_actions_the_gradient_is_the_sum_over_tasks(rng: np.random.Generator) -> None:
+def test_without_shared_actions_the_gradient_is_the_sum_over_tasks(
+    rng: np.random.Generator,
+) -> None:
     data = batch(rng, 2)
     made, slopes = per_task(APART, data)
     total = torch.zeros_like(gradient(made))
@@ -167,10 +207,20 @@ def test_without_shared_actions_the_gradient_is_the_sum_over_tasks(rng: np.rando
 
 
 @pytest.mark.usefixtures("double")
-def test_the_shared_block_is_the_mean_over_tasks_and_private_blocks_are_their_own(rng: np.random.Generator) -> None:
+def test_the_shared_block_is_the_mean_over_tasks_and_private_blocks_are_their_own(
+    rng: np.random.Generator,
+) -> None:
     data = batch(rng, 2)
     made, slopes = per_task(TWO_ARMS, data)
-    ascent = torch.stack([(slopes[0][:, 0] + slopes[1][:, 0]) / 2, slopes[0][:, 1], slopes[1][:, 2], slopes[1][:, 3]], dim=1)
+    ascent = torch.stack(
+        [
+            (slopes[0][:, 0] + slopes[1][:, 0]) / 2,
+            slopes[0][:, 1],
+            slopes[1][:, 2],
+            slopes[1][:, 3],
+        ],
+        dim=1,
+    )
     torch.testing.assert_close(gradient(made), pushed(learner(TWO_ARMS), data, ascent))
 
 
@@ -189,45 +239,66 @@ def test_a_task_never_moves_the_other_arm(rng: np.random.Generator) -> None:
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize(("combination", "share"), [("sum", 1.0), ("mean", 0.5)])
-def test_the_ablations_ascend_the_unmasked_value(combination: str, share: float, rng: np.random.Generator) -> None:
+def test_the_ablations_ascend_the_unmasked_value(
+    combination: str, share: float, rng: np.random.Generator
+) -> None:
     data = batch(rng, 2)
     made = learner(TWO_ARMS, config=replace(DDPG, gradient=combination))  # type: ignore[arg-type]
     made.update(data)
     fresh = learner(TWO_ARMS)
     value = -share * made.critic(data.state, fresh.actor(data.state))[0].sum(dim=1).mean()
-    wanted = torch.cat([part.reshape(-1) for part in torch.autograd.grad(value, tuple(fresh.actor.parameters()))])
+    wanted = torch.cat(
+        [part.reshape(-1) for part in torch.autograd.grad(value, tuple(fresh.actor.parameters()))]
+    )
     torch.testing.assert_close(gradient(made), wanted)
 
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("ascent", ["first", "mean"])
-def test_the_actor_ascends_the_first_critic_or_the_mean_of_all(ascent: str, rng: np.random.Generator) -> None:
+def test_the_actor_ascends_the_first_critic_or_the_mean_of_all(
+    ascent: str, rng: np.random.Generator
+) -> None:
     data, network = batch(rng, 2), replace(PLAIN, critics=3, ascent=ascent)  # type: ignore[arg-type]
     config = replace(DDPG, gradient="sum")
-    made, fresh = learner(TWO_ARMS, network=network, config=config), learner(TWO_ARMS, network=network, config=config)
+    made, fresh = (
+        learner(TWO_ARMS, network=network, config=config),
+        learner(TWO_ARMS, network=network, config=config),
+    )
     made.update(data)
     q = made.critic(data.state, fresh.actor(data.state))
     value = -(q[0] if ascent == "first" else q.mean(dim=0)).sum(dim=1).mean()
-    wanted = torch.cat([part.reshape(-1) for part in torch.autograd.grad(value, tuple(fresh.actor.parameters()))])
+    wanted = torch.cat(
+        [part.reshape(-1) for part in torch.autograd.grad(value, tuple(fresh.actor.parameters()))]
+    )
     torch.testing.assert_close(gradient(made), wanted)
 
 
 @pytest.mark.usefixtures("double")
 def test_both_networks_learn_at_a_share_of_their_rates(rng: np.random.Generator) -> None:
-    """Adam's first step is the rate in every entry whose gradient is not tiny, so a tenth of the rate is a tenth of the step."""
+    """Adam's first step is the rate in every entry whose gradient is not tiny, so a tenth of the
+    rate is a tenth of the step."""
     data = batch(rng, 2)
     full, slow, before = (learner(TWO_ARMS) for _ in range(3))
     slow.slow_down(0.1)
     full.update(data)
     slow.update(data)
     for name in ("actor", "critic"):
-        start, far, near = (torch.cat([p.detach().reshape(-1) for p in getattr(made, name).parameters()]) for made in (before, full, slow))
+        start, far, near = (
+            torch.cat([p.detach().reshape(-1) for p in getattr(made, name).parameters()])
+            for made in (before, full, slow)
+        )
         moving = (far - start).abs() > 1e-5
         assert moving.any()
         if name == "critic":  # the actor's gradient is that of a critic which has moved less
-            torch.testing.assert_close((near - start)[moving], 0.1 * (far - start)[moving], rtol=1e-3, atol=0.0)
+            torch.testing.assert_close(
+                (near - start)[moving], 0.1 * (far - start)[moving], rtol=1e-3, atol=0.0
+            )
         else:
-            assert 0.08 < (near - start).abs()[moving].mean() / (far - start).abs()[moving].mean() < 0.12
+            assert (
+                0.08
+                < (near - start).abs()[moving].mean() / (far - start).abs()[moving].mean()
+                < 0.12
+            )
 
 
 @pytest.mark.usefixtures("double")
@@ -244,7 +315,9 @@ def test_gradient_surgery_opposes_neither_task(rng: np.random.Generator) -> None
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("combination", ["mask", "pcgrad"])
-def test_the_behaviour_term_pulls_where_actions_are_imitated(combination: str, rng: np.random.Generator) -> None:
+def test_the_behaviour_term_pulls_where_actions_are_imitated(
+    combination: str, rng: np.random.Generator
+) -> None:
     data = batch(rng, 2)
     half = torch.zeros(B, 1)
     half[: B // 2] = torch.linspace(0.5, 1.0, B // 2)[:, None]
@@ -256,7 +329,9 @@ def test_the_behaviour_term_pulls_where_actions_are_imitated(combination: str, r
     fresh = learner(TWO_ARMS)
     away = (half * (fresh.actor(data.state) - data.wanted).square()).mean()
     parts = torch.autograd.grad(3.0 * away, tuple(fresh.actor.parameters()))
-    torch.testing.assert_close(gradient(with_pull) - gradient(without), torch.cat([part.reshape(-1) for part in parts]))
+    torch.testing.assert_close(
+        gradient(with_pull) - gradient(without), torch.cat([part.reshape(-1) for part in parts])
+    )
     torch.testing.assert_close(update.behaviour, away.detach())
 
 
@@ -267,8 +342,12 @@ def test_the_effort_term_pulls_all_actions_towards_rest(rng: np.random.Generator
     with_effort.update(data, effort=0.7)
     without.update(data)
     fresh = learner(TWO_ARMS)
-    parts = torch.autograd.grad(0.7 * fresh.actor(data.state).square().mean(), tuple(fresh.actor.parameters()))
-    torch.testing.assert_close(gradient(with_effort) - gradient(without), torch.cat([part.reshape(-1) for part in parts]))
+    parts = torch.autograd.grad(
+        0.7 * fresh.actor(data.state).square().mean(), tuple(fresh.actor.parameters())
+    )
+    torch.testing.assert_close(
+        gradient(with_effort) - gradient(without), torch.cat([part.reshape(-1) for part in parts])
+    )
 
 
 @pytest.mark.usefixtures("double")
@@ -281,7 +360,9 @@ def test_normalising_divides_by_the_mean_absolute_value(rng: np.random.Generator
     torch.testing.assert_close(gradient(made) * size, gradient(plain))
 
 
-def test_a_termination_is_not_bootstrapped_through_and_a_truncation_is(rng: np.random.Generator) -> None:
+def test_a_termination_is_not_bootstrapped_through_and_a_truncation_is(
+    rng: np.random.Generator,
+) -> None:
     made = learner(TWO_ARMS)
     made.target_critic.mlp.output.bias.data += 5.0
     data = batch(rng, 2)
@@ -339,7 +420,10 @@ def test_rewards_are_scaled_inside_and_values_reported_outside(rng: np.random.Ge
 
 def test_targets_follow_slowly_and_in_the_right_direction(rng: np.random.Generator) -> None:
     made = learner(TWO_ARMS)
-    old = [tensor.clone() for tensor in (*made.target_actor.parameters(), *made.target_critic.parameters())]
+    old = [
+        tensor.clone()
+        for tensor in (*made.target_actor.parameters(), *made.target_critic.parameters())
+    ]
     made.update(batch(rng, 2))
     now = (*made.target_actor.parameters(), *made.target_critic.parameters())
     online = (*made.actor.parameters(), *made.critic.parameters())
@@ -359,11 +443,19 @@ def test_the_actor_and_the_targets_wait_for_the_critic(rng: np.random.Generator)
 
 
 def test_running_moments_reach_the_targets(rng: np.random.Generator) -> None:
-    made = learner(TWO_ARMS, network=replace(PRESETS["paper"].network, hidden=(8, 6)), config=PRESETS["paper"].learner)
+    made = learner(
+        TWO_ARMS,
+        network=replace(PRESETS["paper"].network, hidden=(8, 6)),
+        config=PRESETS["paper"].learner,
+    )
     for _ in range(3):
         made.update(batch(rng, 2))
     for target, online in ((made.target_actor, made.actor), (made.target_critic, made.critic)):
-        moments = [(name, value) for name, value in online.named_buffers() if name.endswith(("mean", "variance"))]
+        moments = [
+            (name, value)
+            for name, value in online.named_buffers()
+            if name.endswith(("mean", "variance"))
+        ]
         assert moments
         assert all(torch.equal(target.get_buffer(name), value) for name, value in moments)
         assert any(value.abs().max() > 0 for name, value in moments if name.endswith("mean"))
@@ -371,30 +463,65 @@ def test_running_moments_reach_the_targets(rng: np.random.Generator) -> None:
 
 def test_weight_decay_shrinks_the_critics_weights_only(rng: np.random.Generator) -> None:
     made = learner(TWO_ARMS, config=replace(DDPG, weight_decay=0.01))
-    decays = {id(tensor): group["weight_decay"] for group in made.critic_optimiser.param_groups for tensor in group["params"]}
+    decays = {
+        id(tensor): group["weight_decay"]
+        for group in made.critic_optimiser.param_groups
+        for tensor in group["params"]
+    }
     named = dict(made.critic.named_parameters())
     assert len(decays) == len(named)
-    assert all(decays[id(tensor)] == (0.01 if name.endswith("weight") else 0) for name, tensor in named.items())
+    assert all(
+        decays[id(tensor)] == (0.01 if name.endswith("weight") else 0)
+        for name, tensor in named.items()
+    )
     assert all(group["weight_decay"] == 0 for group in made.actor_optimiser.param_groups)
 
 
 def two_tasks(action: Tensor) -> Tensor:
-    """Private actions are wanted at 0.3 and -0.4, the shared one at 0.5 by the first task and at -0.1 by the second.
+    """Private actions are wanted at 0.3 and -0.4, the shared one at 0.5 by the first task and at
+    -0.1 by the second.
 
-    The second task also profits from the first one's private action, which a sum of gradients follows and DiGrad does not.
+    The second task also profits from the first one's private action, which a sum of gradients
+    follows and DiGrad does not.
     """
     shared, first, second = action[:, 0], action[:, 1], action[:, 2]
-    return torch.stack((-((first - 0.3) ** 2) - (shared - 0.5) ** 2, first - (second + 0.4) ** 2 - (shared + 0.1) ** 2), dim=1)
+    return torch.stack(
+        (
+            -((first - 0.3) ** 2) - (shared - 0.5) ** 2,
+            first - (second + 0.4) ** 2 - (shared + 0.1) ** 2,
+        ),
+        dim=1,
+    )
 
 
-@pytest.mark.parametrize(("combination", "optimum"), [("mask", [0.2, 0.3, -0.4]), ("sum", [0.2, 0.8, -0.4])])
-def test_two_tasks_that_share_an_action_are_solved(combination: str, optimum: list[float], rng: np.random.Generator) -> None:
-    config = LearnerConfig(reward_scale=1.0, actor_rate=1e-3, critic_rate=2e-3, tau=0.05, gradient=combination)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("combination", "optimum"), [("mask", [0.2, 0.3, -0.4]), ("sum", [0.2, 0.8, -0.4])]
+)
+def test_two_tasks_that_share_an_action_are_solved(
+    combination: str, optimum: list[float], rng: np.random.Generator
+) -> None:
+    config = LearnerConfig(
+        reward_scale=1.0, actor_rate=1e-3, critic_rate=2e-3, tau=0.05, gradient=combination
+    )  # type: ignore[arg-type]
     mask = gradient_mask({"left": [0, 1], "right": [0, 2]}, 3)
-    made = Learner(1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0)
+    made = Learner(
+        1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0
+    )
     for _ in range(1000):
-        state, action = (torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3))
-        made.update(Batch(state, action, two_tasks(action), state, torch.zeros(64, 1), torch.zeros(64, 1), action))
+        state, action = (
+            torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3)
+        )
+        made.update(
+            Batch(
+                state,
+                action,
+                two_tasks(action),
+                state,
+                torch.zeros(64, 1),
+                torch.zeros(64, 1),
+                action,
+            )
+        )
     with torch.no_grad():
         found = made.actor(torch.linspace(-1, 1, 50)[:, None])
     torch.testing.assert_close(found, torch.tensor(optimum).expand_as(found), rtol=0, atol=0.15)
@@ -420,8 +547,13 @@ def test_updates_continue_bit_for_bit_from_a_state(preset: str, rng: np.random.G
 
 def test_a_state_of_another_layout_is_refused_by_name() -> None:
     saved = learner(TWO_ARMS).state()
-    other = Learner(N_X + 1, gradient_mask(TWO_ARMS, N_U), network=PLAIN, config=DDPG, bounds=BOUNDS, seed=0)
-    with pytest.raises(SpecError, match=r"actor\.mlp\.layers\.0\.weight: expected shape \(1, 6, 12\), got \(1, 5, 12\)"):
+    other = Learner(
+        N_X + 1, gradient_mask(TWO_ARMS, N_U), network=PLAIN, config=DDPG, bounds=BOUNDS, seed=0
+    )
+    with pytest.raises(
+        SpecError,
+        match=r"actor\.mlp\.layers\.0\.weight: expected shape \(1, 6, 12\), got \(1, 5, 12\)",
+    ):
         other.load_state(saved)
     with pytest.raises(SpecError, match=r"actor\.mlp.* got None"):
         other.load_state({})

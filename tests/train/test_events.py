@@ -15,18 +15,31 @@ from coordlog.train.metrics import Row
 
 
 def row(update: int, loss: float, kind: str = "training") -> Row:
-    return {"kind": kind, "update": update, "step": 2 * update, "critic_loss": loss, "episodes": 3, "advice": "none", "q_left": None}
+    return {
+        "kind": kind,
+        "update": update,
+        "step": 2 * update,
+        "critic_loss": loss,
+        "episodes": 3,
+        "advice": "none",
+        "q_left": None,
+    }
 
 
 def read(folder: Path) -> dict[str, list[tuple[int, float]]]:
     events = EventAccumulator(str(folder)).Reload()
-    return {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    return {
+        tag: [(event.step, event.value) for event in events.Scalars(tag)]
+        for tag in events.Tags()["scalars"]
+    }
 
 
 def test_every_figure_of_every_row_is_read_back(tmp_path: Path) -> None:
     with EventFiles(tmp_path) as write:
         write(row(10, 0.5))
-        assert read(tmp_path)["training/critic_loss"] == [(10, 0.5)], "it can be watched while it is written"
+        assert read(tmp_path)["training/critic_loss"] == [(10, 0.5)], (
+            "it can be watched while it is written"
+        )
         write(row(20, 0.25))
         write(row(20, 2.0, "evaluation"))
     assert read(tmp_path) == {

@@ -22,12 +22,17 @@ def test_one_arm_has_the_plain_gradient() -> None:
     ("arms", "message"),
     [
         ({"left": [0], "right": [1]}, r"actions \[2\] serve no arm"),
-        ({"left": [0, 3], "right": [1, 2]}, r"arm 'left': expected action indices between 0 and 2, got \[0, 3\]"),
+        (
+            {"left": [0, 3], "right": [1, 2]},
+            r"arm 'left': expected action indices between 0 and 2, got \[0, 3\]",
+        ),
         ({"left": [], "right": [0, 1, 2]}, r"arm 'left': expected action indices"),
         ({"left": [-1, 0], "right": [1, 2]}, r"arm 'left': expected action indices"),
     ],
 )
-def test_an_action_that_could_never_learn_is_an_error(arms: dict[str, list[int]], message: str) -> None:
+def test_an_action_that_could_never_learn_is_an_error(
+    arms: dict[str, list[int]], message: str
+) -> None:
     with pytest.raises(ConfigError, match=message):
         gradient_mask(arms, 3)
 
@@ -43,7 +48,9 @@ def test_the_ablations_see_every_joint_from_every_head() -> None:
 def test_gradients_that_agree_are_added_and_opposing_parts_are_removed() -> None:
     generator = torch.Generator().manual_seed(0)
     agreeing = [torch.tensor([1.0, 0.0]), torch.tensor([1.0, 1.0])]
-    torch.testing.assert_close(project_conflicts(agreeing, generator=generator), torch.tensor([2.0, 1.0]))
+    torch.testing.assert_close(
+        project_conflicts(agreeing, generator=generator), torch.tensor([2.0, 1.0])
+    )
     first, second = torch.tensor([1.0, 0.0]), torch.tensor([-1.0, 1.0])
     wanted = (first + 0.5 * second) + (second + first)  # each loses its component along the other
     torch.testing.assert_close(project_conflicts([first, second], generator=generator), wanted)

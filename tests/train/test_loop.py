@@ -8,21 +8,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import toy_arms as toy
 
 from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.policies.checkpoint import load_arrays
+from coordlog.policies.learned import Policy
 from coordlog.train.buffer import Block
-from coordlog.train.checkpoint import load_arrays
 from coordlog.train.exploration import Exploring
 from coordlog.train.logs import Columns
 from coordlog.train.loop import KIND, Trainer
 from coordlog.train.metrics import TIMING, read_metrics
-from coordlog.train.policy import Policy
 from coordlog.train.settings import Settings, load_settings
 from coordlog.train.task import Hooks, Outcome
+from tests.train import toy_arms as toy
 
-SMALL = ("network.hidden=[24,24]", "replay.batch=32", "replay.warmup=64", "replay.capacity=300", "replay.hindsight=0.25")
-SHORT = (*SMALL, "loop.metrics_every=20", "loop.evaluate_every=40", "loop.checkpoint_every=30", "loop.block=4", "noise.correlation=0.5")
+SMALL = (
+    "network.hidden=[24,24]",
+    "replay.batch=32",
+    "replay.warmup=64",
+    "replay.capacity=300",
+    "replay.hindsight=0.25",
+)
+SHORT = (
+    *SMALL,
+    "loop.metrics_every=20",
+    "loop.evaluate_every=40",
+    "loop.checkpoint_every=30",
+    "loop.block=4",
+    "noise.correlation=0.5",
+)
 LOGS = (*SHORT, "loop.updates=100")
 LIVE = (*SHORT, "loop.updates=0", "loop.steps=448", "loop.updates_per_step=0.3")
 BOTH = (*LIVE, "loop.pretrain=30")
@@ -36,7 +49,14 @@ def evaluate(policy: Policy, updates: int) -> dict[str, float]:
     return {"clean": toy.success(policy, lanes=16), "score": float(policy(np.ones(toy.N_X)).sum())}
 
 
-def trainer(folder: Path, wanted: Settings, *, logs: bool = False, live: bool = False, hooks: Hooks | None = None) -> Trainer:
+def trainer(
+    folder: Path,
+    wanted: Settings,
+    *,
+    logs: bool = False,
+    live: bool = False,
+    hooks: Hooks | None = None,
+) -> Trainer:
     source = toy.ToySource(8, seed=4) if live else None
     return Trainer(
         toy.task(),
@@ -50,7 +70,10 @@ def trainer(folder: Path, wanted: Settings, *, logs: bool = False, live: bool = 
 
 
 def metrics(folder: Path) -> list[dict[str, object]]:
-    return [{name: value for name, value in row.items() if name not in TIMING} for row in read_metrics(folder / "metrics.jsonl")]
+    return [
+        {name: value for name, value in row.items() if name not in TIMING}
+        for row in read_metrics(folder / "metrics.jsonl")
+    ]
 
 
 def weights(folder: Path) -> dict[str, bytes]:
@@ -68,7 +91,9 @@ KINDS = {"logs": (LOGS, True, False), "live": (LIVE, False, True), "both": (BOTH
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rounds", [1, 2, 5])
-def test_a_stopped_run_continues_as_if_it_had_not_been(kind: str, rounds: int, tmp_path: Path) -> None:
+def test_a_stopped_run_continues_as_if_it_had_not_been(
+    kind: str, rounds: int, tmp_path: Path
+) -> None:
     assignments, logs, live = KINDS[kind]
     wanted = settings(*assignments)
     whole = trainer(tmp_path / "whole", wanted, logs=logs, live=live).run()
@@ -112,7 +137,13 @@ def test_a_killed_run_continues_from_its_last_checkpoint(kind: str, tmp_path: Pa
             raise KilledError
 
     with pytest.raises(KilledError):
-        trainer(tmp_path / "parts", wanted, logs=logs, live=live, hooks=Hooks(evaluate=evaluate, on_row=kill)).run()
+        trainer(
+            tmp_path / "parts",
+            wanted,
+            logs=logs,
+            live=live,
+            hooks=Hooks(evaluate=evaluate, on_row=kill),
+        ).run()
     resumed = trainer(tmp_path / "parts", wanted, logs=logs, live=live)
     resumed.run(resume=True)
     assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
@@ -120,7 +151,9 @@ def test_a_killed_run_continues_from_its_last_checkpoint(kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("assignments", [LIVE, BOTH])
-def test_simulating_beside_the_updates_changes_nothing(assignments: tuple[str, ...], tmp_path: Path) -> None:
+def test_simulating_beside_the_updates_changes_nothing(
+    assignments: tuple[str, ...], tmp_path: Path
+) -> None:
     for name in ("true", "false"):
         wanted = settings(*assignments, f"loop.overlap={name}")
         trainer(tmp_path / name, wanted, logs="loop.pretrain=30" in assignments, live=True).run()
@@ -129,7 +162,9 @@ def test_simulating_beside_the_updates_changes_nothing(assignments: tuple[str, .
 
 
 @pytest.mark.parametrize("overlap", ["true", "false"])
-def test_a_block_is_collected_by_the_actor_before_the_updates_beside_it(overlap: str, tmp_path: Path) -> None:
+def test_a_block_is_collected_by_the_actor_before_the_updates_beside_it(
+    overlap: str, tmp_path: Path
+) -> None:
     ages = []
 
     class Watched(toy.ToySource):
@@ -137,7 +172,9 @@ def test_a_block_is_collected_by_the_actor_before_the_updates_beside_it(overlap:
             ages.append(policy.policy.about["updates"])  # type: ignore[attr-defined]
             return super().collect(steps, policy)
 
-    Trainer(toy.task(), settings(*LIVE, f"loop.overlap={overlap}"), folder=tmp_path, source=Watched(8)).run()
+    Trainer(
+        toy.task(), settings(*LIVE, f"loop.overlap={overlap}"), folder=tmp_path, source=Watched(8)
+    ).run()
     steps = np.arange(0, 448, 32)
     assert ages == [int(0.3 * max(0, before - 64)) for before in steps - 32]
 
@@ -163,7 +200,13 @@ def test_live_steps_earn_updates_and_budgets_are_kept(tmp_path: Path) -> None:
 
 
 def test_the_papers_loop_makes_one_update_per_step(tmp_path: Path) -> None:
-    wanted = settings("network.hidden=[12,8]", "replay.capacity=200", "loop.steps=120", "loop.evaluate_every=0", preset="paper")
+    wanted = settings(
+        "network.hidden=[12,8]",
+        "replay.capacity=200",
+        "loop.steps=120",
+        "loop.evaluate_every=0",
+        preset="paper",
+    )
     made = Trainer(toy.task(), wanted, folder=tmp_path, source=toy.ToySource(1))
     outcome = made.run()
     assert (outcome.steps, outcome.updates) == (120, 120 - 64)
@@ -172,9 +215,16 @@ def test_the_papers_loop_makes_one_update_per_step(tmp_path: Path) -> None:
 
 def test_a_policy_learns_from_logs_alone(tmp_path: Path) -> None:
     wanted = settings(
-        "network.hidden=[64,64]", "replay.batch=64", "replay.warmup=64", "learner.tau=0.02", "loop.updates=1200", "loop.evaluate_every=300"
+        "network.hidden=[64,64]",
+        "replay.batch=64",
+        "replay.warmup=64",
+        "learner.tau=0.02",
+        "loop.updates=1200",
+        "loop.evaluate_every=300",
     )
-    outcome = Trainer(toy.task(), wanted, folder=tmp_path, logs=toy.logs(60), hooks=Hooks(evaluate=evaluate)).run()
+    outcome = Trainer(
+        toy.task(), wanted, folder=tmp_path, logs=toy.logs(60), hooks=Hooks(evaluate=evaluate)
+    ).run()
     assert outcome.best is not None
     assert outcome.best["clean"] >= 0.9
     best = Policy.load(tmp_path / "best.safetensors")
@@ -194,8 +244,12 @@ def test_the_first_of_the_best_policies_is_kept_not_the_last(tmp_path: Path) -> 
     wanted = settings(*SHORT, "loop.updates=50", "loop.evaluate_every=10")
     outcome = trainer(tmp_path, wanted, logs=True, hooks=Hooks(evaluate=judge)).run()
     assert outcome.best == {"clean": 0.9, "score": 1.0}
-    np.testing.assert_array_equal(Policy.load(tmp_path / "best.safetensors").arrays["bias.0"], seen[1])
-    np.testing.assert_array_equal(Policy.load(tmp_path / "policy.safetensors").arrays["bias.0"], seen[4])
+    np.testing.assert_array_equal(
+        Policy.load(tmp_path / "best.safetensors").arrays["bias.0"], seen[1]
+    )
+    np.testing.assert_array_equal(
+        Policy.load(tmp_path / "policy.safetensors").arrays["bias.0"], seen[4]
+    )
 
 
 @pytest.mark.parametrize(("averaged", "network"), [("true", "target_actor"), ("false", "actor")])
@@ -205,7 +259,9 @@ def test_the_actor_or_its_average_is_kept(averaged: str, network: str, tmp_path:
     wanted = getattr(made.learner, network).arrays()
     found = Policy.load(tmp_path / "policy.safetensors").arrays
     assert all(np.array_equal(found[name], array) for name, array in wanted.items())
-    assert not np.array_equal(made.learner.actor.arrays()["weight.0"], made.learner.target_actor.arrays()["weight.0"])
+    assert not np.array_equal(
+        made.learner.actor.arrays()["weight.0"], made.learner.target_actor.arrays()["weight.0"]
+    )
 
 
 def poisoned() -> Columns:
@@ -216,7 +272,13 @@ def poisoned() -> Columns:
 
 
 def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
-    made = Trainer(toy.task(), settings(*LOGS, "loop.metrics_every=90"), folder=tmp_path, logs=poisoned(), hooks=Hooks(evaluate=evaluate))
+    made = Trainer(
+        toy.task(),
+        settings(*LOGS, "loop.metrics_every=90"),
+        folder=tmp_path,
+        logs=poisoned(),
+        hooks=Hooks(evaluate=evaluate),
+    )
     outcome = made.run()
     assert outcome.ending == "diverged"
     assert outcome.event is not None
@@ -230,16 +292,23 @@ def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
 
 def test_a_run_is_never_overwritten_nor_resumed_from_nothing_nor_changed(tmp_path: Path) -> None:
     trainer(tmp_path, settings(*LOGS), logs=True).run()
-    with pytest.raises(StorageError, match="already holds a run; resume it or choose another folder"):
+    with pytest.raises(
+        StorageError, match="already holds a run; resume it or choose another folder"
+    ):
         trainer(tmp_path, settings(*LOGS), logs=True).run()
     with pytest.raises(StorageError, match="cannot be read"):
         trainer(tmp_path / "none", settings(*LOGS), logs=True).run(resume=True)
     with pytest.raises(ConfigError, match=r"resume: learner\.gamma was 0\.98 and is now 0\.5"):
         trainer(tmp_path, settings(*LOGS, "learner.gamma=0.5"), logs=True).run(resume=True)
     fewer = Trainer(toy.task(), settings(*LOGS), folder=tmp_path, logs=toy.logs(3))
-    with pytest.raises(ConfigError, match=r"resume: expected the \d+ log transitions of before, got \d+"):
+    with pytest.raises(
+        ConfigError, match=r"resume: expected the \d+ log transitions of before, got \d+"
+    ):
         fewer.run(resume=True)
-    assert trainer(tmp_path, settings(*LOGS, "loop.updates=120"), logs=True).run(resume=True).updates == 120
+    assert (
+        trainer(tmp_path, settings(*LOGS, "loop.updates=120"), logs=True).run(resume=True).updates
+        == 120
+    )
 
 
 def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path: Path) -> None:
@@ -252,7 +321,9 @@ def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path:
         trainer(folder, settings(*LIVE), logs=True)
     with pytest.raises(ConfigError, match=r"loop\.pretrain: expected logs for 30 updates"):
         trainer(folder, settings(*BOTH), live=True)
-    with pytest.raises(SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"):
+    with pytest.raises(
+        SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"
+    ):
         Trainer(replace(toy.task(), n_x=19), settings(*LOGS), folder=folder, logs=toy.logs(3))
     with pytest.raises(ConfigError, match=r"device: expected cpu, .* got 'tpu0'"):
         Trainer(toy.task(), settings(*LOGS), folder=folder, logs=toy.logs(3), device="tpu0")
@@ -270,7 +341,9 @@ def test_an_error_in_the_simulation_comes_through(tmp_path: Path) -> None:
 
 def test_an_outcome_says_how_a_run_ended(tmp_path: Path) -> None:
     rows: list[dict[str, object]] = []
-    outcome = trainer(tmp_path, settings(*LOGS), logs=True, hooks=Hooks(evaluate=evaluate, on_row=rows.append)).run()
+    outcome = trainer(
+        tmp_path, settings(*LOGS), logs=True, hooks=Hooks(evaluate=evaluate, on_row=rows.append)
+    ).run()
     assert outcome == Outcome("finished", 100, 0, outcome.best, None)
     assert [row["update"] for row in rows if row["kind"] == "training"] == [20, 40, 60, 80, 100]
     assert [row["update"] for row in rows if row["kind"] == "evaluation"] == [40, 80, 100]

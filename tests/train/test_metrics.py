@@ -14,7 +14,15 @@ from coordlog.train.metrics import MetricsLog, Tally, Watch, read_metrics
 
 def update(value: float) -> Update:
     scalar = torch.tensor(value)
-    return Update(scalar, torch.stack((scalar, -scalar)), scalar - 1, scalar + 1, torch.stack((scalar, scalar)), scalar, torch.tensor(0.5))
+    return Update(
+        scalar,
+        torch.stack((scalar, -scalar)),
+        scalar - 1,
+        scalar + 1,
+        torch.stack((scalar, scalar)),
+        scalar,
+        torch.tensor(0.5),
+    )
 
 
 def test_a_tally_gives_means_and_extremes_by_name() -> None:
@@ -63,14 +71,24 @@ def test_one_value_that_is_not_finite_shows_at_once() -> None:
     ("row", "name", "words"),
     [
         ({"q_low": -10.0, "q_high": 29.0, "saturation": 0.5}, None, ""),
-        ({"q_low": -10.0, "q_high": 31.0}, "q_out_of_bounds", r"Q spans [-10, 31] but no return lies outside [-10, 10]"),
+        (
+            {"q_low": -10.0, "q_high": 31.0},
+            "q_out_of_bounds",
+            r"Q spans [-10, 31] but no return lies outside [-10, 10]",
+        ),
         ({"q_low": -31.0, "q_high": 0.0}, "q_out_of_bounds", "learner.clip_targets = true"),
-        ({"q_low": 0.0, "q_high": 0.0, "saturation": 0.96}, "saturated", "96% of the actions are at their limits"),
+        (
+            {"q_low": 0.0, "q_high": 0.0, "saturation": 0.96},
+            "saturated",
+            "96% of the actions are at their limits",
+        ),
         ({"critic_loss": math.inf}, "not_finite", "critic_loss not finite"),
         ({}, None, ""),
     ],
 )
-def test_a_divergence_has_a_name_and_advice(row: dict[str, float], name: str | None, words: str) -> None:
+def test_a_divergence_has_a_name_and_advice(
+    row: dict[str, float], name: str | None, words: str
+) -> None:
     event = Watch((-10.0, 10.0)).check(row)
     assert (event.name if event else None) == name
     assert words in (event.advice if event else "")
@@ -81,7 +99,10 @@ def test_rows_are_lines_of_strict_json(tmp_path: Path) -> None:
     log.write({"update": 1, "loss": math.nan, "kind": "training"})
     log.write({"update": 2, "loss": 0.5})
     lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
-    assert [json.loads(line) for line in lines] == [{"update": 1, "loss": None, "kind": "training"}, {"update": 2, "loss": 0.5}]
+    assert [json.loads(line) for line in lines] == [
+        {"update": 1, "loss": None, "kind": "training"},
+        {"update": 2, "loss": 0.5},
+    ]
     assert read_metrics(log.path) == [json.loads(line) for line in lines]
 
 

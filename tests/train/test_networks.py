@@ -8,9 +8,9 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
+from coordlog.policies.learned import Policy
 from coordlog.train.config import NetworkConfig
 from coordlog.train.networks import Actor, Critic
-from coordlog.train.policy import Policy
 from coordlog.train.settings import PRESETS
 
 B, N_X, N_U, K = 12, 7, 4, 3
@@ -39,7 +39,9 @@ def test_an_ensemble_is_its_members_evaluated_one_by_one() -> None:
     torch.testing.assert_close(critic(state, action, count=1), together[:1])
 
 
-def test_the_papers_critic_meets_the_action_in_its_second_layer_and_normalises_only_before_it() -> None:
+def test_the_papers_critic_meets_the_action_in_its_second_layer_and_normalises_only_before_it() -> (
+    None
+):
     critic = Critic(N_X, N_U, K, config=PAPER, generator=seeded())
     assert [layer.weight.shape for layer in critic.mlp.layers] == [(1, N_X, 10), (1, 20 + N_U, 6)]
     assert [layer.norm for layer in critic.mlp.layers] == ["batch", "none"]
@@ -48,7 +50,12 @@ def test_the_papers_critic_meets_the_action_in_its_second_layer_and_normalises_o
 
 
 def test_batch_normalisation_is_torchs_own() -> None:
-    actor = Actor(N_X, N_U, config=replace(PAPER, dropout=0.0, activation="relu", hidden=(5,), action_layer=1), generator=seeded())
+    actor = Actor(
+        N_X,
+        N_U,
+        config=replace(PAPER, dropout=0.0, activation="relu", hidden=(5,), action_layer=1),
+        generator=seeded(),
+    )
     layer, reference = actor.mlp.layers[0], nn.BatchNorm1d(5, momentum=0.01)
     state = numbers(B, N_X)
     for training in (True, True, False):
@@ -74,7 +81,9 @@ def test_dropout_drops_its_share_keeps_the_mean_and_is_off_when_acting() -> None
 
 
 def test_output_layers_start_small_and_hidden_ones_by_fan_in() -> None:
-    actor = Actor(N_X, N_U, config=NetworkConfig(hidden=(400, 300), final_init=3e-3), generator=seeded())
+    actor = Actor(
+        N_X, N_U, config=NetworkConfig(hidden=(400, 300), final_init=3e-3), generator=seeded()
+    )
     limits = [layer.weight.abs().max().item() for layer in (*actor.mlp.layers, actor.mlp.output)]
     assert limits == pytest.approx([N_X**-0.5, 400**-0.5, 3e-3], rel=0.02)
 
@@ -82,7 +91,9 @@ def test_output_layers_start_small_and_hidden_ones_by_fan_in() -> None:
 @pytest.mark.parametrize("norm", ["none", "layer", "batch"])
 @pytest.mark.parametrize("activation", ["relu", "crelu"])
 def test_a_policy_acts_as_its_actor_does(norm: str, activation: str) -> None:
-    config = NetworkConfig(hidden=(16, 9), activation=activation, actor_norm=norm, dropout=0.1, final_init=1.0)  # type: ignore[arg-type]
+    config = NetworkConfig(
+        hidden=(16, 9), activation=activation, actor_norm=norm, dropout=0.1, final_init=1.0
+    )  # type: ignore[arg-type]
     actor = Actor(N_X, N_U, config=config, generator=seeded())
     for name, parameter in actor.named_parameters():
         if name.endswith(("gain", "shift")):

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import torch
 
-from coordlog.scoring import evaluate, figures
-from coordlog.sim.config import EnvConfig, RewardConfig
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.scene import find
+from coordlog.sim.scoring import evaluate, figures
+from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.scene import find
 from coordlog.train.bind import FARTHEST, task_of
 from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
@@ -35,7 +35,9 @@ def test_the_planar_arm_is_learnt_live_within_a_minute(tmp_path: Path) -> None:
     env, threads = simulations(), torch.get_num_threads()
     k, reach = env.layout.k, env.scene.robot.reach
     source = Simulations(env, seed=0, k=k, farthest=FARTHEST * reach)
-    trainer = Trainer(task_of(env.describe()), load_settings(assignments=SETTINGS), folder=tmp_path, source=source)
+    trainer = Trainer(
+        task_of(env.describe()), load_settings(assignments=SETTINGS), folder=tmp_path, source=source
+    )
     try:
         assert trainer.run().ending == "finished"
     finally:

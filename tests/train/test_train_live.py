@@ -1,4 +1,5 @@
-"""Tests for live simulations as a source: they go on from a saved state as if nothing had happened."""
+"""Tests for live simulations as a source: they go on from a saved state as if nothing had
+happened."""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ import numpy as np
 import pytest
 
 from coordlog.episode import Array
-from coordlog.sim.config import EnvConfig
+from coordlog.policies.checkpoint import load_arrays, save_arrays
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.scene import find
-from coordlog.train.checkpoint import load_arrays, save_arrays
+from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import find
 from coordlog.train.live import Simulations
 
 LANES, LIMIT = 3, 5
@@ -26,7 +27,11 @@ def wavering(state: Array) -> Array:
     return np.sin(9 * state[:, :8]).astype(np.float32)
 
 
-@pytest.mark.parametrize("steps", [0, 2, LIMIT, 2 * LIMIT + 1], ids=["at first", "under way", "all just ended", "after some"])
+@pytest.mark.parametrize(
+    "steps",
+    [0, 2, LIMIT, 2 * LIMIT + 1],
+    ids=["at first", "under way", "all just ended", "after some"],
+)
 def test_a_saved_source_goes_on_with_the_same_bits(steps: int, tmp_path: Path) -> None:
     whole, parts = simulations(), simulations()
     if steps:

@@ -1,4 +1,5 @@
-"""A two-armed toy in NumPy: each palm is a shared base plus a hand of its own, and every action is a velocity."""
+"""A two-armed toy in NumPy: each palm is a shared base plus a hand of its own, and every action is
+a velocity."""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.sim.config import EnvConfig, RewardConfig
-from coordlog.sim.reward import Flags, rewards
+from coordlog.policies.checkpoint import generator_from_json, generator_to_json
+from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.reach.reward import Flags, rewards
 from coordlog.train.buffer import Block
-from coordlog.train.checkpoint import generator_from_json, generator_to_json
 from coordlog.train.logs import Columns
 from coordlog.train.relabel import GoalView
 from coordlog.train.task import Task
@@ -24,7 +25,9 @@ ENV = EnvConfig(goal_radius=RADIUS, boundary_radius=BOUNDARY)
 CONSTANTS = RewardConfig()
 
 
-def reward(distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array) -> Array:
+def reward(
+    distance: Array, boundary: Array, goal: Array, collision: Array, instability: Array
+) -> Array:
     return rewards(distance, Flags(boundary, goal, collision, instability), CONSTANTS)
 
 
@@ -41,7 +44,11 @@ def task() -> Task:
 def observed(palms: Array, goals: Array) -> Array:
     """Palms and goals (n, 2, 3) as states."""
     state, places = np.zeros((len(palms), N_X), np.float32), view()
-    for place, points in ((places.palms, palms), (places.goals, goals), (places.difference, goals - palms)):
+    for place, points in (
+        (places.palms, palms),
+        (places.goals, goals),
+        (places.difference, goals - palms),
+    ):
         places.write(state, place, points)
     return state
 
@@ -52,8 +59,16 @@ class ToySource:
     def __init__(self, lanes: int = 8, *, seed: int = 0, limit: int = 20) -> None:
         self.lanes, self.limit = lanes, limit
         self._rng = np.random.default_rng(seed)
-        self.base, self.hands, self.goals = np.zeros((lanes, 3)), np.zeros((lanes, 2, 3)), np.zeros((lanes, 2, 3))
-        self.episode, self.step, self.started = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), 0
+        self.base, self.hands, self.goals = (
+            np.zeros((lanes, 3)),
+            np.zeros((lanes, 2, 3)),
+            np.zeros((lanes, 2, 3)),
+        )
+        self.episode, self.step, self.started = (
+            np.zeros(lanes, np.int64),
+            np.zeros(lanes, np.int64),
+            0,
+        )
         self.ended, self.won = 0, 0
         self._begin(np.arange(lanes))
 
@@ -69,7 +84,12 @@ class ToySource:
         return self.base[:, None] + self.hands
 
     def collect(self, steps: int, policy: Callable[[Array], Array]) -> Block:
-        return Block(*(np.stack(column) for column in zip(*(self._advance(policy) for _ in range(steps)), strict=True)))
+        return Block(
+            *(
+                np.stack(column)
+                for column in zip(*(self._advance(policy) for _ in range(steps)), strict=True)
+            )
+        )
 
     def _advance(self, policy: Callable[[Array], Array]) -> tuple[Array, ...]:
         state = observed(self.palms, self.goals)
@@ -140,14 +160,28 @@ def logs(episodes: int = 40, *, seed: int = 1, limit: int = 20, noise: float = 0
     rng = np.random.default_rng(seed)
     source = ToySource(episodes, seed=seed, limit=limit)
     block = source.collect(
-        limit, lambda state: np.clip(expert(state) + noise * rng.standard_normal((episodes, N_U)), -1, 1).astype(np.float32)
+        limit,
+        lambda state: np.clip(
+            expert(state) + noise * rng.standard_normal((episodes, N_U)), -1, 1
+        ).astype(np.float32),
     )
     parts: dict[str, list[Array]] = {}
     length = []
     for lane in range(episodes):
         steps = int((block.episode[:, lane] == lane).sum())
         length.append(steps)
-        for name in ("state", "action", "distance", "boundary", "goal", "collision", "instability", "terminated"):
+        for name in (
+            "state",
+            "action",
+            "distance",
+            "boundary",
+            "goal",
+            "collision",
+            "instability",
+            "terminated",
+        ):
             parts.setdefault(name, []).append(getattr(block, name)[:steps, lane])
         parts.setdefault("final", []).append(block.next_state[steps - 1, lane][None])
-    return Columns(**{name: np.concatenate(arrays) for name, arrays in parts.items()}, length=np.array(length))
+    return Columns(
+        **{name: np.concatenate(arrays) for name, arrays in parts.items()}, length=np.array(length)
+    )

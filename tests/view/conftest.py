@@ -1,10 +1,13 @@
 import os
 
-os.environ["RERUN_STRICT"] = "1"  # the SDK turns bad data into a warning otherwise; read when rerun is imported
+os.environ["RERUN_STRICT"] = (
+    "1"  # the SDK turns bad data into a warning otherwise; read when rerun is imported
+)
 
 import numpy as np
 import pytest
-from recordings import rolled_out, with_contacts, with_path
+
+from tests.view.recordings import rolled_out, with_contacts, with_path
 
 
 @pytest.fixture(scope="session")

@@ -9,11 +9,11 @@ import zstandard
 from scipy.interpolate import make_smoothing_spline
 
 from coordlog.episode import CONTACT, MODEL_XML, Episode, Header, Path, Result
-from coordlog.rollout import rollout
-from coordlog.sim.config import EnvConfig
+from coordlog.policies.noise import Random
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.policies import Random
-from coordlog.sim.scene import SCENES
+from coordlog.sim.rollout import rollout
+from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import SCENES
 from coordlog.view.show import Show
 
 STEPS = 40
@@ -24,7 +24,19 @@ def rolled_out(scene, *, steps=STEPS, seed=3):
     env = BatchEnv(SCENES[scene], EnvConfig(max_steps=steps), n=1, threads=1)
     policy = Random(1, env.layout.n_u)
     seen = {"qpos": [], "qvel": [], "state": [], "action": []}
-    led_to = {name: [] for name in ("reward", "distance", "boundary", "goal", "collision", "instability", "terminated", "truncated")}
+    led_to = {
+        name: []
+        for name in (
+            "reward",
+            "distance",
+            "boundary",
+            "goal",
+            "collision",
+            "instability",
+            "terminated",
+            "truncated",
+        )
+    }
     contacts, attachments = [], {}
     begin, act = policy.begin, policy.act
 
@@ -32,7 +44,9 @@ def rolled_out(scene, *, steps=STEPS, seed=3):
         if not attachments:
             attachments.update(env.attachments(0))
         action = act(ids, state)
-        for name, value in zip(seen, (env.physics.qpos[0], env.physics.qvel[0], env.state[0], action[0]), strict=True):
+        for name, value in zip(
+            seen, (env.physics.qpos[0], env.physics.qvel[0], env.state[0], action[0]), strict=True
+        ):
             seen[name].append(np.array(value))
         return action
 
@@ -43,7 +57,11 @@ def rolled_out(scene, *, steps=STEPS, seed=3):
         rows = outcome.contacts[0].copy()
         rows["step"] = step
         contacts.append(rows)
-    for name, value in (("qpos", env.physics.qpos[0]), ("qvel", env.physics.qvel[0]), ("state", env.state[0])):
+    for name, value in (
+        ("qpos", env.physics.qpos[0]),
+        ("qvel", env.physics.qvel[0]),
+        ("state", env.state[0]),
+    ):
         seen[name].append(np.array(value))
     problem = env.problem(seed=seed, split="test", index=0)
     header = Header(
@@ -70,7 +88,9 @@ def rolled_out(scene, *, steps=STEPS, seed=3):
     columns["contacts"] = np.concatenate(contacts)
     returns = tuple(columns["reward"].sum(axis=0).tolist())
     terminated = bool(columns["terminated"][-1])
-    result = Result(len(columns["action"]), returns, False, False, terminated, not terminated, "", "")
+    result = Result(
+        len(columns["action"]), returns, False, False, terminated, not terminated, "", ""
+    )
     return Show(scene, Episode(header=header, result=result, **columns), attachments)
 
 
@@ -102,12 +122,16 @@ def action_places(episode):
 
 def simulated_palms(show):
     """Palm positions by plain MuJoCo, (T + 1, k, 3) [m]."""
-    model = mujoco.MjModel.from_xml_string(zstandard.ZstdDecompressor().decompress(show.attachments[MODEL_XML]).decode())
+    model = mujoco.MjModel.from_xml_string(
+        zstandard.ZstdDecompressor().decompress(show.attachments[MODEL_XML]).decode()
+    )
     data, palms = mujoco.MjData(model), []
     for qpos in show.episode.qpos:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        palms.append([data.site(arm["palm"]).xpos.copy() for arm in show.episode.header.env["robot"]["arms"]])
+        palms.append(
+            [data.site(arm["palm"]).xpos.copy() for arm in show.episode.header.env["robot"]["arms"]]
+        )
     return np.array(palms)
 
 
@@ -126,13 +150,19 @@ class ReadBack:
 
     def column(self, entity, component):
         """Rows of one component over all chunks, each a NumPy array."""
-        found = [batch[component] for batch in self._batches[entity] if component in batch.schema.names]
-        assert found, f"{entity} has no {component}; it has {[batch.schema.names for batch in self._batches[entity]]}"
+        found = [
+            batch[component] for batch in self._batches[entity] if component in batch.schema.names
+        ]
+        assert found, (
+            f"{entity} has no {component}; it has {[batch.schema.names for batch in self._batches[entity]]}"
+        )
         return [np.array(row.as_py()) for batch in found for row in batch]
 
     def times(self, entity, component, timeline="sim_time"):
         """Times of those rows, in the timeline's integers (ns for durations)."""
-        found = [batch[timeline] for batch in self._batches[entity] if component in batch.schema.names]
+        found = [
+            batch[timeline] for batch in self._batches[entity] if component in batch.schema.names
+        ]
         return np.concatenate([np.asarray(column.cast("int64")) for column in found])
 
 

@@ -11,16 +11,35 @@ RNG = np.random.default_rng(5)
 PLACES, TURNS = RNG.standard_normal((6, 3)), RNG.standard_normal((6, 4))
 COLOURS = [(1, 2, 3, 4), (250, 0, 128, 255)] * 3
 SIZES = RNG.random(6).astype(np.float32)
-TIME = rr.TimeColumn("t", duration=np.array([0, 40, 80], dtype="timedelta64[ms]").astype("timedelta64[ns]"))
+TIME = rr.TimeColumn(
+    "t", duration=np.array([0, 40, 80], dtype="timedelta64[ms]").astype("timedelta64[ns]")
+)
 
 FIELDS = {
-    rr.Capsules3D: {"lengths": SIZES, "radii": SIZES, "colors": COLOURS, "translations": PLACES, "quaternions": TURNS},
-    rr.Ellipsoids3D: {"half_sizes": PLACES, "centers": PLACES, "colors": np.array(COLOURS, dtype=np.uint8)},
+    rr.Capsules3D: {
+        "lengths": SIZES,
+        "radii": SIZES,
+        "colors": COLOURS,
+        "translations": PLACES,
+        "quaternions": TURNS,
+    },
+    rr.Ellipsoids3D: {
+        "half_sizes": PLACES,
+        "centers": PLACES,
+        "colors": np.array(COLOURS, dtype=np.uint8),
+    },
     rr.Points3D: {"positions": PLACES, "labels": list("abcdef"), "radii": SIZES},
     rr.LineStrips3D: {"strips": PLACES.reshape(3, 2, 3), "colors": COLOURS[:3]},
     rr.SeriesLines: {"names": ["a", "b"], "colors": COLOURS[:2], "widths": SIZES[:2]},
-    rr.SeriesPoints: {"markers": [rr.components.MarkerShape.Diamond] * 2, "marker_sizes": SIZES[:2]},
-    rr.StateConfiguration: {"values": ["up", "no"], "colors": COLOURS[:2], "visible": [True, False]},
+    rr.SeriesPoints: {
+        "markers": [rr.components.MarkerShape.Diamond] * 2,
+        "marker_sizes": SIZES[:2],
+    },
+    rr.StateConfiguration: {
+        "values": ["up", "no"],
+        "colors": COLOURS[:2],
+        "visible": [True, False],
+    },
     rr.Mesh3D: {
         "vertex_positions": PLACES,
         "triangle_indices": np.array([[0, 1, 2], [3, 4, 5]], dtype=np.uint32),
@@ -39,7 +58,8 @@ CONSTANTS = {
 
 
 def written(draft):
-    """The one chunk of a draft, its row and chunk ids aside: types, metadata and values of each column."""
+    """The one chunk of a draft, its row and chunk ids aside: types, metadata and values of each
+    column."""
     handed = []
     draft.send(type("Stream", (), {"send_chunks": lambda self, chunks: handed.extend(chunks)})())
     assert len(handed) == 1
@@ -48,14 +68,22 @@ def written(draft):
 
 def content(chunk):
     batch = chunk.to_record_batch()
-    columns = {field.name: (field.type, field.metadata, batch[field.name].to_pylist()) for field in batch.schema}
+    columns = {
+        field.name: (field.type, field.metadata, batch[field.name].to_pylist())
+        for field in batch.schema
+    }
     columns.pop("rerun.controls.RowId")
     return chunk.entity_path, columns
 
 
 def by_rerun(archetype, fields):
     batches = archetype.from_fields(**fields).as_component_batches()
-    whole = [rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())]) for batch in batches]
+    whole = [
+        rr.ComponentColumn(
+            batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())]
+        )
+        for batch in batches
+    ]
     return content(Chunk.from_columns("/a", [], whole))
 
 

@@ -19,7 +19,10 @@ COORDLOG = [sys.executable, "-m", "coordlog.cli"]
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A raw log and the smoothed one."""
     folder = tmp_path_factory.mktemp("plot")
-    for args in (["record", "--scene", "planar", "--episodes", "1", "--noise", "0.2", "--out", "raw"], ["smooth", "raw", "--out", "new"]):
+    for args in (
+        ["record", "--scene", "planar", "--episodes", "1", "--noise", "0.2", "--out", "raw"],
+        ["smooth", "raw", "--out", "new"],
+    ):
         subprocess.run([*COORDLOG, *args], cwd=folder, check=True, capture_output=True)
     (raw,) = (folder / "raw").iterdir()
     return raw, folder / "new" / raw.name
@@ -29,7 +32,12 @@ def test_every_joint_is_drawn_with_its_knots_its_spline_and_its_p(files: tuple[P
     episode = read_episode(files[1])
     figure = joints_figure(episode, read_attachments(files[1]))
     *panels, space = figure.axes
-    assert [axes.get_ylabel() for axes in panels] == ["spine [rad]", "left arm [rad]", "middle arm [rad]", "right arm [rad]"]
+    assert [axes.get_ylabel() for axes in panels] == [
+        "spine [rad]",
+        "left arm [rad]",
+        "middle arm [rad]",
+        "right arm [rad]",
+    ]
     labels = [text.get_text() for axes in panels for text in axes.get_legend().get_texts()]
     joints = episode.header.env["action_joints"]
     assert [label.split()[0] for label in labels] == joints
@@ -49,7 +57,9 @@ def test_a_raw_log_has_neither_knots_nor_p(files: tuple[Path, Path]) -> None:
     assert "p =" not in figure.axes[0].get_legend().get_texts()[0].get_text()
 
 
-def test_the_command_writes_a_picture_and_replaces_none(files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_command_writes_a_picture_and_replaces_none(
+    files: tuple[Path, Path], tmp_path: Path
+) -> None:
     out = tmp_path / "deeper" / "joints.png"
     call = [*COORDLOG, "plot", str(files[1]), str(files[0]), "--out", str(out)]
     subprocess.run(call, check=True, capture_output=True)
@@ -57,9 +67,13 @@ def test_the_command_writes_a_picture_and_replaces_none(files: tuple[Path, Path]
     again = subprocess.run(call, capture_output=True, text=True, check=False)
     assert again.returncode == 2
     assert "not overwritten" in again.stderr
-    wrong = subprocess.run([*call[:-1], str(tmp_path / "joints.docx")], capture_output=True, text=True, check=False)
+    wrong = subprocess.run(
+        [*call[:-1], str(tmp_path / "joints.docx")], capture_output=True, text=True, check=False
+    )
     assert wrong.returncode == 2
     assert ".svg" in wrong.stderr
-    folder = subprocess.run([*COORDLOG, "plot", str(files[1].parent)], capture_output=True, text=True, check=False)
+    folder = subprocess.run(
+        [*COORDLOG, "plot", str(files[1].parent)], capture_output=True, text=True, check=False
+    )
     assert folder.returncode == 2
     assert "got a folder" in folder.stderr

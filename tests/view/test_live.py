@@ -7,18 +7,29 @@ import numpy as np
 import pytest
 import rerun as rr
 from numpy.testing import assert_allclose, assert_array_equal
-from recordings import ReadBack, simulated_palms
 
 from coordlog.errors import ConfigError, SpecError, ViewerError
 from coordlog.view.headless import Headless
 from coordlog.view.live import Live
+from tests.view.recordings import ReadBack, simulated_palms
 
 
 @pytest.fixture
 def episodes(shows):
-    """Two evaluations of two episodes each: a fall and a success, then two successes; only the first of each brings its model."""
-    fell = replace(shows["table"], name="fell", episode=replace(shows["table"].episode, instability=np.ones(40, bool)))
-    good = replace(shows["table"], name="good", episode=shows["table"].episode.with_result(success=True, clean=True))
+    """Two evaluations of two episodes each: a fall and a success, then two successes.
+
+    Only the first of each brings its model.
+    """
+    fell = replace(
+        shows["table"],
+        name="fell",
+        episode=replace(shows["table"].episode, instability=np.ones(40, bool)),
+    )
+    good = replace(
+        shows["table"],
+        name="good",
+        episode=shows["table"].episode.with_result(success=True, clean=True),
+    )
     bare = replace(good, name="bare", attachments={})
     return [[fell, bare], [good, bare]]
 
@@ -33,7 +44,9 @@ def test_figures_and_evaluations_are_rows_over_updates(episodes, tmp_path):
     recording = ReadBack(tmp_path / "a.rrd")
     losses = recording.column("/figure/loss/critic", "Scalars:scalars")
     assert_array_equal(np.concatenate(losses), [0.5, 0.25])
-    assert_array_equal(recording.times("/figure/loss/critic", "Scalars:scalars", "update"), [100, 200])
+    assert_array_equal(
+        recording.times("/figure/loss/critic", "Scalars:scalars", "update"), [100, 200]
+    )
     fell = recording.column("/world/path/fell", "LineStrips3D:strips")
     assert [len(row) for row in fell] == [2, 0]  # both hands, and gone with the next evaluation
     assert_allclose(fell[0][1], simulated_palms(episodes[0][0])[:, 1], atol=1e-6)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from recordings import Recording, simulated_palms
 
 from coordlog.errors import ConfigError
 from coordlog.view.outcome import KINDS, Outcome, by_urgency, kind, worth_a_look
 from coordlog.view.overview import WINDOW, running, to_overview
+from tests.view.recordings import Recording, simulated_palms
 
 
 @pytest.fixture
@@ -27,7 +27,10 @@ def folder(shows):
         "aborted": fell.with_result(aborted="interrupted"),
     }
     assert list(ended) == list(KINDS)
-    return [replace(shows["spheres"], name=name, episode=each, file=f"logs/{name}.mcap") for name, each in ended.items()]
+    return [
+        replace(shows["spheres"], name=name, episode=each, file=f"logs/{name}.mcap")
+        for name, each in ended.items()
+    ]
 
 
 def test_episodes_are_told_apart_by_how_they_ended(folder, tmp_path):
@@ -35,7 +38,9 @@ def test_episodes_are_told_apart_by_how_they_ended(folder, tmp_path):
     recording = Recording(to_overview(folder), tmp_path / "a.rrd")
     states = [str(row[0]) for row in recording.column("/lane/result", "StateChange:state")]
     assert states == list(KINDS)
-    assert_array_equal(recording.times("/lane/result", "StateChange:state", "episode"), np.arange(5))
+    assert_array_equal(
+        recording.times("/lane/result", "StateChange:state", "episode"), np.arange(5)
+    )
 
 
 def test_paths_are_those_of_the_palms(folder, tmp_path):
@@ -60,7 +65,11 @@ def test_table_text_and_histogram_count_every_episode(folder, tmp_path):
     said = str(recording.column("/about", "TextDocument:text")[0][0])
     assert "5 episodes" in said
     assert all(f"**1 {name}** (20.0%)" in said for name in KINDS)
-    named = [line.split(" | ")[1:3] for line in said.splitlines() if line[:3] in {f"| {i}" for i in range(5)}]
+    named = [
+        line.split(" | ")[1:3]
+        for line in said.splitlines()
+        if line[:3] in {f"| {i}" for i in range(5)}
+    ]
     assert named == [[name, name] for name in reversed(KINDS)]
     one = [str(row[0]) for row in recording.column("/episode", "TextDocument:text")]
     assert "coordlog view logs/not reached.mcap" in one[2]
@@ -84,7 +93,9 @@ def test_the_earliest_fall_and_the_farthest_miss_come_first(folder):
 def test_robots_and_scenes_may_be_mixed_and_need_no_model(shows, tmp_path):
     mixed = [replace(shows[name], attachments={}) for name in ("planar", "table", "free")]
     recording = Recording(to_overview(mixed), tmp_path / "a.rrd")
-    assert {f"/world/paths/{name}" for name in ("planar", "table", "free")} <= {entity.rsplit("/", 1)[0] for entity in recording.entities}
+    assert {f"/world/paths/{name}" for name in ("planar", "table", "free")} <= {
+        entity.rsplit("/", 1)[0] for entity in recording.entities
+    }
     assert not any(entity.startswith("/world/start") for entity in recording.entities)
 
 

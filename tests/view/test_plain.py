@@ -22,7 +22,16 @@ DOCS = Path(__file__).parents[2] / "docs" / "viewers"
 def test_plain_rerun_plots_a_converted_file_by_the_blueprint(shows, scene, tmp_path):
     episode = shows[scene].episode
     write_episode(tmp_path / "a.mcap", episode, attachments={}, display=True)
-    command = [BINARY, "mcap", "convert", tmp_path / "a.mcap", "-o", tmp_path / "a.rrd", "--application-id", APPLICATION]
+    command = [
+        BINARY,
+        "mcap",
+        "convert",
+        tmp_path / "a.mcap",
+        "-o",
+        tmp_path / "a.rrd",
+        "--application-id",
+        APPLICATION,
+    ]
     subprocess.run(command, check=True, capture_output=True, env=viewer.environment(tmp_path))
     plain_blueprint(episode.header.arms).save(APPLICATION, str(tmp_path / "a.rbl"))
     try:
@@ -30,7 +39,12 @@ def test_plain_rerun_plots_a_converted_file_by_the_blueprint(shows, scene, tmp_p
             headless.open(tmp_path / "a.rbl", tmp_path / "a.rrd")
             headless.picture()
             assert headless.complaints() == []
-            assert set(headless.views()) == {"joint angles [rad]", "joint speeds [rad/s]", "palm to goal [m]", "reward per step"}
+            assert set(headless.views()) == {
+                "joint angles [rad]",
+                "joint speeds [rad/s]",
+                "palm to goal [m]",
+                "reward per step",
+            }
     except ViewerError as error:
         if "Vulkan" in str(error):
             pytest.skip(str(error))
@@ -42,8 +56,15 @@ def test_joint_states_decode_natively_by_name(shows, tmp_path):
     write_episode(tmp_path / "a.mcap", episode, attachments={}, display=True)
     command = [BINARY, "mcap", "convert", tmp_path / "a.mcap", "-o", tmp_path / "a.rrd"]
     subprocess.run(command, check=True, capture_output=True, env=viewer.environment(tmp_path))
-    chunks = rr.chunk.RrdReader(str(tmp_path / "a.rrd")).stream().filter(content=f"{JOINT_STATE_TOPIC}/position").to_chunks()
-    names = {name for chunk in chunks for name in chunk.to_record_batch()["SeriesLines:names"][0].as_py()}
+    chunks = (
+        rr.chunk.RrdReader(str(tmp_path / "a.rrd"))
+        .stream()
+        .filter(content=f"{JOINT_STATE_TOPIC}/position")
+        .to_chunks()
+    )
+    names = {
+        name for chunk in chunks for name in chunk.to_record_batch()["SeriesLines:names"][0].as_py()
+    }
     assert names == {joint["name"] for joint in episode.header.env["joints"]}
 
 
@@ -53,12 +74,17 @@ def test_every_path_of_the_foxglove_layout_is_a_field_of_a_message(shows, scene)
     joints = [joint["name"] for joint in header.env["joints"]]
     layout = foxglove_layout(header.arms, joints, header.env["action_joints"])
     fields = {ARM.topic + arm: {item.name for item in ARM.fields} for arm in header.arms}
-    fields |= {STEP.topic: {item.name for item in STEP.fields}, JOINT_STATE_TOPIC: {f"position[{i}]" for i in range(len(joints))}}
+    fields |= {
+        STEP.topic: {item.name for item in STEP.fields},
+        JOINT_STATE_TOPIC: {f"position[{i}]" for i in range(len(joints))},
+    }
     paths = [path for panel in layout["configById"].values() for path in panel.get("paths", [])]
     for path in paths:
         topic, field = path["value"].split(".")
         assert field in fields[topic], path["value"]
-    assert sum(path["enabled"] for path in paths if JOINT_STATE_TOPIC in path["value"]) == len(header.env["action_joints"])
+    assert sum(path["enabled"] for path in paths if JOINT_STATE_TOPIC in path["value"]) == len(
+        header.env["action_joints"]
+    )
 
 
 def test_the_foxglove_layout_is_a_tree_of_its_panels():
@@ -83,7 +109,9 @@ def test_the_foxglove_layout_is_a_tree_of_its_panels():
         assert set(panel) == settings[name.split("!")[0]]
         for path in panel.get("paths", []):
             assert (
-                {"value", "label", "enabled", "timestampMethod"} <= set(path) <= {"value", "label", "enabled", "timestampMethod", "color"}
+                {"value", "label", "enabled", "timestampMethod"}
+                <= set(path)
+                <= {"value", "label", "enabled", "timestampMethod", "color"}
             )
             assert path["timestampMethod"] in ("receiveTime", "headerStamp")
 

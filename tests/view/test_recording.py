@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from recordings import Recording
 
 from coordlog.errors import ConfigError, FormatError
 from coordlog.view.camera import camera, crosses
 from coordlog.view.recording import to_rerun
 from coordlog.view.show import distinctions, stages
+from tests.view.recordings import Recording
 
 
 def named(show, name):
@@ -33,28 +33,48 @@ def test_a_recording_and_its_blueprint_are_an_application_of_their_own(shows, tm
 
 
 def test_two_shows_stand_side_by_side_on_one_time_axis(shows, smoothed, tmp_path):
-    recording = Recording(to_rerun([named(shows["table"], "raw"), named(smoothed, "smoothed")]), tmp_path / "a.rrd")
-    shift = [recording.column(f"/{name}/world", "Transform3D:translation")[0][0] for name in ("raw", "smoothed")]
+    recording = Recording(
+        to_rerun([named(shows["table"], "raw"), named(smoothed, "smoothed")]), tmp_path / "a.rrd"
+    )
+    shift = [
+        recording.column(f"/{name}/world", "Transform3D:translation")[0][0]
+        for name in ("raw", "smoothed")
+    ]
     assert_allclose(shift[1] - shift[0], [0.0, 1.0, 0.0])
     for name in ("raw", "smoothed"):
         times = recording.times(f"/{name}/world/robot/box", "Boxes3D:centers")
         assert len(times) == len(shows["table"].episode) + 1
-    names = [recording.column(f"/{name}/joint/left/executed", "SeriesLines:names")[0][0] for name in ("raw", "smoothed")]
+    names = [
+        recording.column(f"/{name}/joint/left/executed", "SeriesLines:names")[0][0]
+        for name in ("raw", "smoothed")
+    ]
     assert names == ["l_shoulder_y (raw)", "l_shoulder_y (smoothed)"]
 
 
 def test_ghosts_stand_in_the_place_of_the_last_and_are_translucent(shows, tmp_path):
-    recording = Recording(to_rerun([named(shows["table"], "a"), named(shows["table"], "b")], ghosts=True), tmp_path / "a.rrd")
-    alpha = {name: recording.column(f"/{name}/world/robot/box", "Boxes3D:colors")[0] & 255 for name in "ab"}
+    recording = Recording(
+        to_rerun([named(shows["table"], "a"), named(shows["table"], "b")], ghosts=True),
+        tmp_path / "a.rrd",
+    )
+    alpha = {
+        name: recording.column(f"/{name}/world/robot/box", "Boxes3D:colors")[0] & 255
+        for name in "ab"
+    }
     assert (alpha["a"] < 128).all()
     assert (alpha["b"] == 255).all()
     assert "/a/world/world/box" not in recording.entities
     assert "/b/world/world/box" in recording.entities
-    assert_allclose(recording.column("/a/world", "Transform3D:translation")[0], recording.column("/b/world", "Transform3D:translation")[0])
+    assert_allclose(
+        recording.column("/a/world", "Transform3D:translation")[0],
+        recording.column("/b/world", "Transform3D:translation")[0],
+    )
 
 
 def test_robots_of_different_kinds_can_stand_together(shows, tmp_path):
-    recording = Recording(to_rerun([named(shows["planar"], "planar"), named(shows["table"], "table")]), tmp_path / "a.rrd")
+    recording = Recording(
+        to_rerun([named(shows["planar"], "planar"), named(shows["table"], "table")]),
+        tmp_path / "a.rrd",
+    )
     assert {"/planar/joint/middle/executed", "/table/joint/left/executed"} <= recording.entities
 
 
@@ -89,9 +109,22 @@ def test_an_aborted_episode_says_so_first(shows, tmp_path):
 def test_an_episode_cut_before_its_first_step_is_shown(shows, tmp_path):
     episode = shows["free"].episode
     columns = {name: getattr(episode, name)[:1] for name in ("time", "qpos", "qvel", "state")}
-    led_to = ("action", "reward", "distance", "boundary", "goal", "collision", "instability", "terminated", "truncated", "contacts")
+    led_to = (
+        "action",
+        "reward",
+        "distance",
+        "boundary",
+        "goal",
+        "collision",
+        "instability",
+        "terminated",
+        "truncated",
+        "contacts",
+    )
     columns |= {name: getattr(episode, name)[:0] for name in led_to}
-    empty = replace(episode, result=replace(episode.result, length=0, aborted="interrupted"), **columns)
+    empty = replace(
+        episode, result=replace(episode.result, length=0, aborted="interrupted"), **columns
+    )
     recording = Recording(to_rerun([replace(shows["free"], episode=empty)]), tmp_path / "a.rrd")
     assert len(recording.column("/world/robot/box", "Boxes3D:centers")) == 1
 
@@ -100,7 +133,9 @@ def test_a_diverged_state_is_shown_as_far_as_it_is_one(shows, tmp_path):
     episode = shows["free"].episode
     qpos = episode.qpos.copy()
     qpos[-1] = np.nan
-    show = replace(shows["free"], episode=replace(episode, qpos=qpos).with_result(aborted="diverged: NaN"))
+    show = replace(
+        shows["free"], episode=replace(episode, qpos=qpos).with_result(aborted="diverged: NaN")
+    )
     assert np.isfinite(np.concatenate(camera(stages([show])))).all()
     recording = Recording(to_rerun([show]), tmp_path / "a.rrd")
     assert np.isfinite(recording.column("/world/robot/box", "Boxes3D:centers")[-2]).all()
@@ -108,9 +143,16 @@ def test_a_diverged_state_is_shown_as_far_as_it_is_one(shows, tmp_path):
 
 def test_the_text_names_policy_result_and_lineage(smoothed, tmp_path):
     header = replace(
-        smoothed.episode.header, lineage={"parents": ["ab" * 32], "transform": "smooth local", "parameters": {"clearance": 0.005}}
+        smoothed.episode.header,
+        lineage={
+            "parents": ["ab" * 32],
+            "transform": "smooth local",
+            "parameters": {"clearance": 0.005},
+        },
     )
-    show = replace(smoothed, episode=replace(smoothed.episode, header=header), file="out/table|x.mcap")
+    show = replace(
+        smoothed, episode=replace(smoothed.episode, header=header), file="out/table|x.mcap"
+    )
     said = text(Recording(to_rerun([show]), tmp_path / "a.rrd"), "/about")
     for word in (
         "table",
@@ -147,5 +189,7 @@ def test_the_eye_sees_everything(shows):
 
 def test_a_line_through_a_box_is_found():
     low, high = np.array([1.0, -1.0, -1.0]), np.array([2.0, 1.0, 1.0])
-    ends = np.array([[3.0, 0.0, 0.0], [0.5, 0.0, 0.0], [3.0, 9.0, 0.0], [1.5, 0.0, 0.0], [-3.0, 0.0, 0.0]])
+    ends = np.array(
+        [[3.0, 0.0, 0.0], [0.5, 0.0, 0.0], [3.0, 9.0, 0.0], [1.5, 0.0, 0.0], [-3.0, 0.0, 0.0]]
+    )
     assert crosses(np.zeros(3), ends, low, high).tolist() == [True, False, False, True, False]

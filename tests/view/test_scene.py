@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import zstandard
 from numpy.testing import assert_allclose, assert_array_equal
-from recordings import Recording, action_places, with_contacts
 from scipy.spatial.transform import Rotation
 
 from coordlog.episode import INITIAL_STATE, MODEL_XML
 from coordlog.view.recording import to_rerun
+from tests.view.recordings import Recording, action_places, with_contacts
 
 CENTRE = {
     "box": "Boxes3D:centers",
@@ -20,10 +20,18 @@ CENTRE = {
 
 
 def simulated(show):
-    """The attached model with plain MuJoCo, and its state at every step: an oracle that shares no code with the package."""
-    model = mujoco.MjModel.from_xml_string(zstandard.ZstdDecompressor().decompress(show.attachments[MODEL_XML]).decode())
+    """The attached model with plain MuJoCo, and its state at every step: an oracle that shares no
+    code with the package."""
+    model = mujoco.MjModel.from_xml_string(
+        zstandard.ZstdDecompressor().decompress(show.attachments[MODEL_XML]).decode()
+    )
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, np.frombuffer(show.attachments[INITIAL_STATE]), mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_setState(
+        model,
+        data,
+        np.frombuffer(show.attachments[INITIAL_STATE]),
+        mujoco.mjtState.mjSTATE_INTEGRATION,
+    )
     for qpos in show.episode.qpos:
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
@@ -33,7 +41,11 @@ def simulated(show):
 def geoms(model, kind, robot):
     """Ids of the geoms of one kind, in model order: the robot's, or of bodies that never move."""
     wanted = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}").value
-    moves = [model.body_weldid[model.geom_bodyid[i]] != 0 and model.body_mocapid[model.geom_bodyid[i]] < 0 for i in range(model.ngeom)]
+    moves = [
+        model.body_weldid[model.geom_bodyid[i]] != 0
+        and model.body_mocapid[model.geom_bodyid[i]] < 0
+        for i in range(model.ngeom)
+    ]
     return [i for i in range(model.ngeom) if model.geom_type[i] == wanted and moves[i] == robot]
 
 
@@ -41,9 +53,13 @@ def pose(recording, entity, kind, row):
     """Centres and rotation matrices of the shapes of one entity, by the viewer's conventions."""
     place = recording.column(entity, CENTRE[kind])[row]
     prefix = CENTRE[kind].split(":")[0]
-    turned = Rotation.from_quat(recording.column(entity, f"{prefix}:quaternions")[row]).as_matrix()  # xyzw, as the viewer's
+    turned = Rotation.from_quat(
+        recording.column(entity, f"{prefix}:quaternions")[row]
+    ).as_matrix()  # xyzw, as the viewer's
     if kind == "capsule":  # from its origin along +z
-        place = place + turned[:, :, 2] * recording.column(entity, "Capsules3D:lengths")[0][:, None] / 2
+        place = (
+            place + turned[:, :, 2] * recording.column(entity, "Capsules3D:lengths")[0][:, None] / 2
+        )
     return place, turned
 
 
@@ -64,7 +80,11 @@ def test_every_solid_of_the_robot_is_where_mujoco_has_it_at_every_step(shows, sc
                 assert_allclose(turned, data.geom_xmat[ids].reshape(-1, 3, 3), atol=2e-6)
     assert all(len(rows) == t + 1 for rows in drawn.values())
     moving = sum(len(geoms(model, kind, robot=True)) for kind in CENTRE)
-    robot = [i for i in range(model.ngeom) if model.body_weldid[model.geom_bodyid[i]] and model.body_mocapid[model.geom_bodyid[i]] < 0]
+    robot = [
+        i
+        for i in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[i]] and model.body_mocapid[model.geom_bodyid[i]] < 0
+    ]
     assert moving == len(robot)  # no geom of the robot is of a kind that is not drawn
 
 
@@ -73,11 +93,24 @@ def test_sizes_and_colours_are_the_models(shows, tmp_path):
     model, _ = next(simulated(shows["free"]))
     capsules, boxes = geoms(model, "capsule", robot=True), geoms(model, "box", robot=True)
     entity = "/world/robot/capsule"
-    assert_allclose(recording.column(entity, "Capsules3D:lengths")[0], 2 * model.geom_size[capsules, 1], rtol=1e-6)
-    assert_allclose(recording.column(entity, "Capsules3D:radii")[0], model.geom_size[capsules, 0], rtol=1e-6)
-    assert_allclose(recording.column("/world/robot/box", "Boxes3D:half_sizes")[0], model.geom_size[boxes], rtol=1e-6)
+    assert_allclose(
+        recording.column(entity, "Capsules3D:lengths")[0],
+        2 * model.geom_size[capsules, 1],
+        rtol=1e-6,
+    )
+    assert_allclose(
+        recording.column(entity, "Capsules3D:radii")[0], model.geom_size[capsules, 0], rtol=1e-6
+    )
+    assert_allclose(
+        recording.column("/world/robot/box", "Boxes3D:half_sizes")[0],
+        model.geom_size[boxes],
+        rtol=1e-6,
+    )
     packed = recording.column("/world/robot/box", "Boxes3D:colors")[0]
-    assert_array_equal([packed >> 24 & 255, packed >> 16 & 255, packed >> 8 & 255, packed & 255], np.round(255 * model.geom_rgba[boxes].T))
+    assert_array_equal(
+        [packed >> 24 & 255, packed >> 16 & 255, packed >> 8 & 255, packed & 255],
+        np.round(255 * model.geom_rgba[boxes].T),
+    )
 
 
 @pytest.mark.parametrize(("scene", "panels"), [("table", 1), ("shelf", 5)])
@@ -89,29 +122,56 @@ def test_panels_stand_where_the_model_has_them(shows, scene, panels, tmp_path):
     assert len(place) == panels
     assert_allclose(place, data.geom_xpos[ids], atol=1e-6)
     assert_allclose(turned, data.geom_xmat[ids].reshape(-1, 3, 3), atol=1e-6)
-    assert_allclose(recording.column("/world/world/box", "Boxes3D:half_sizes")[0], model.geom_size[ids], rtol=1e-6)
+    assert_allclose(
+        recording.column("/world/world/box", "Boxes3D:half_sizes")[0],
+        model.geom_size[ids],
+        rtol=1e-6,
+    )
 
 
 @pytest.mark.parametrize(("scene", "clear"), [("table", {"table"}), ("shelf", {"shelf_left"})])
 def test_panels_in_front_of_the_goals_are_see_through(shows, scene, clear, tmp_path):
     recording = Recording(to_rerun([shows[scene]]), tmp_path / "a.rrd")
     model, _ = next(simulated(shows[scene]))
-    names = [model.geom(i).name for i in geoms(model, "box", robot=False) if model.geom_bodyid[i] == 0]
+    names = [
+        model.geom(i).name for i in geoms(model, "box", robot=False) if model.geom_bodyid[i] == 0
+    ]
     alpha = recording.column("/world/world/box", "Boxes3D:colors")[0] & 255
     assert clear <= {name for name, a in zip(names, alpha, strict=True) if a == 255}
     if scene == "shelf":
-        assert {"shelf_back", "shelf_top"} <= {name for name, a in zip(names, alpha, strict=True) if a < 128}
+        assert {"shelf_back", "shelf_top"} <= {
+            name for name, a in zip(names, alpha, strict=True) if a < 128
+        }
 
 
 def test_object_goals_and_spheres_are_those_of_the_episode(shows, tmp_path):
     show = shows["spheres"]
     recording = Recording(to_rerun([show]), tmp_path / "a.rrd")
-    goals, obstacles = np.array(show.episode.header.episode["goals"]), np.array(show.episode.header.episode["obstacles"])
-    assert_allclose(recording.column("/world/goal/centre", "Points3D:positions")[0], goals, atol=1e-6)
-    assert_allclose(recording.column("/world/goal/tolerance", "Ellipsoids3D:half_sizes")[0], 0.03, atol=1e-9)
-    assert_allclose(recording.column("/world/object/box", "Boxes3D:centers")[0][0], goals.mean(axis=0), atol=1e-6)
-    assert_allclose(recording.column("/world/obstacle/sphere", "Ellipsoids3D:centers")[0], obstacles[:, :3], atol=1e-6)
-    assert_allclose(recording.column("/world/obstacle/sphere", "Ellipsoids3D:half_sizes")[0][:, 0], obstacles[:, 3], rtol=1e-6)
+    goals, obstacles = (
+        np.array(show.episode.header.episode["goals"]),
+        np.array(show.episode.header.episode["obstacles"]),
+    )
+    assert_allclose(
+        recording.column("/world/goal/centre", "Points3D:positions")[0], goals, atol=1e-6
+    )
+    assert_allclose(
+        recording.column("/world/goal/tolerance", "Ellipsoids3D:half_sizes")[0], 0.03, atol=1e-9
+    )
+    assert_allclose(
+        recording.column("/world/object/box", "Boxes3D:centers")[0][0],
+        goals.mean(axis=0),
+        atol=1e-6,
+    )
+    assert_allclose(
+        recording.column("/world/obstacle/sphere", "Ellipsoids3D:centers")[0],
+        obstacles[:, :3],
+        atol=1e-6,
+    )
+    assert_allclose(
+        recording.column("/world/obstacle/sphere", "Ellipsoids3D:half_sizes")[0][:, 0],
+        obstacles[:, 3],
+        rtol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("scene", ["table", "planar"])
@@ -133,7 +193,10 @@ def test_knots_and_spline_lead_the_palms_where_the_joints_put_them(smoothed, tmp
     for arm in episode.header.env["robot"]["arms"]:
         wanted = {"knots": [], "spline": []}
         for t, qpos in enumerate(episode.qpos):
-            for name, position in (("knots", episode.path.knot_position), ("spline", episode.path.position)):
+            for name, position in (
+                ("knots", episode.path.knot_position),
+                ("spline", episode.path.position),
+            ):
                 data.qpos[:] = qpos
                 data.qpos[joints] = position[t]
                 mujoco.mj_kinematics(model, data)
@@ -150,7 +213,9 @@ def test_contacts_flash_when_they_happen_and_only_then(shows, tmp_path):
     rows = recording.column("/world/contact/now", "Points3D:positions")
     times = recording.times("/world/contact/now", "Points3D:positions")
     counts = [len(row) for row in rows]
-    assert counts == [2 if step == 5 else 1 if step == 7 else 0 for step in range(len(show.episode))]
+    assert counts == [
+        2 if step == 5 else 1 if step == 7 else 0 for step in range(len(show.episode))
+    ]
     assert times[5] == round(show.episode.time[6] * 1e9)  # what step 5 led to
     assert_allclose(rows[7], [[0.3, -0.1, 0.7]], atol=1e-7)
     names = show.episode.header.env["geoms"]
@@ -174,7 +239,9 @@ def test_centre_of_mass_and_support_polygon(shows, tmp_path):
         assert_allclose(outline[0], outline[-1])
         edges = np.diff(outline, axis=0)
         for corner in low:  # on the left of every edge, or on it
-            across = edges[:, 0] * (corner[1] - outline[:-1, 1]) - edges[:, 1] * (corner[0] - outline[:-1, 0])
+            across = edges[:, 0] * (corner[1] - outline[:-1, 1]) - edges[:, 1] * (
+                corner[0] - outline[:-1, 0]
+            )
             assert (across > -1e-7).all()
         for point in outline:
             assert np.abs(low - point).sum(axis=1).min() < 1e-6

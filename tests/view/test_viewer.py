@@ -12,7 +12,6 @@ import numpy as np
 import psutil
 import pytest
 from PIL import Image
-from recordings import Recording
 
 from coordlog.errors import ConfigError, ViewerError
 from coordlog.view import palette, scene, viewer
@@ -21,6 +20,7 @@ from coordlog.view.overview import to_overview
 from coordlog.view.recording import to_rerun
 from coordlog.view.viewer import BINARY, claim, open_window
 from coordlog.view.web import web_viewer
+from tests.view.recordings import Recording
 
 SIZE = (1000, 700)
 
@@ -43,17 +43,27 @@ def hue(image, colour):
 
 @pytest.fixture(scope="module")
 def pictures(smoothed, shows, tmp_path_factory):
-    """Pictures of the scene as it is, without hands, and of the whole overview; and what the viewer complained about."""
+    """Pictures of the scene as it is, without hands, and of the whole overview.
+
+    And what the viewer complained about.
+    """
     folder = tmp_path_factory.mktemp("pictures")
     Recording(to_rerun([smoothed]), folder / "whole.rrd")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scene, "draw_hands", lambda stream, stage: None)
         Recording(to_rerun([smoothed]), folder / "handless.rrd")
-    Recording(to_overview([replace(show, file=name) for name, show in shows.items()]), folder / "overview.rrd")
+    Recording(
+        to_overview([replace(show, file=name) for name, show in shows.items()]),
+        folder / "overview.rrd",
+    )
     taken, complaints = {}, []
     try:
         with Headless(size=SIZE) as headless:
-            for name, at, kind in (("whole", 0.24, "3D"), ("handless", 0.24, "3D"), ("overview", 2, "")):
+            for name, at, kind in (
+                ("whole", 0.24, "3D"),
+                ("handless", 0.24, "3D"),
+                ("overview", 2, ""),
+            ):
                 headless.open(folder / f"{name}.rrd")
                 headless.seek(at)
                 taken[name] = pixels(headless.picture(kind))
@@ -124,7 +134,9 @@ def test_without_a_display_there_is_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr(viewer.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(ViewerError, match=r"no display: .* --web, --screenshot FILE or --save FILE"):
+    with pytest.raises(
+        ViewerError, match=r"no display: .* --web, --screenshot FILE or --save FILE"
+    ):
         open_window([tmp_path / "a.rrd"])
 
 
@@ -141,7 +153,9 @@ def test_a_port_that_is_taken_is_said():
 def test_telemetry_is_off_and_the_users_own_settings_stay_as_they_are(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "theirs"))
     environment = viewer.environment(tmp_path / "ours")
-    said = subprocess.run([BINARY, "analytics", "config"], env=environment, capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        [BINARY, "analytics", "config"], env=environment, capture_output=True, text=True, check=True
+    ).stdout
     assert json.loads(said[said.index("{") :])["analytics_enabled"] is False
     assert not (tmp_path / "theirs").exists()
 
@@ -158,10 +172,15 @@ def test_the_page_is_served_to_this_machine_only_and_may_reach_nothing_else(show
         assert allowed.pop().startswith("http://127.0.0.1:")
         children = [child for child in psutil.Process().children() if child.pid not in before]
         listening = [
-            each.laddr.ip for child in [*children, psutil.Process()] for each in child.net_connections() if each.status == "LISTEN"
+            each.laddr.ip
+            for child in [*children, psutil.Process()]
+            for each in child.net_connections()
+            if each.status == "LISTEN"
         ]
         assert len(listening) >= 3
         assert set(listening) == {"127.0.0.1"}
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(address.split("?")[0] + "no-such-file")
-    assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
+    assert not any(
+        child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children
+    )

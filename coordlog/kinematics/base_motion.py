@@ -1,0 +1,60 @@
+"""The configurations of a whole model along one episode, with the action joints standing elsewhere
+than they did.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.errors import FormatError
+from coordlog.robots.robot import Robot
+
+
+class Logged:
+    """The log's configurations, linear in time, its action joints replaced."""
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot, *, time: Array, qpos: Array) -> None:
+        """Find the action joints.
+
+        Args:
+            model: Robot and scene.
+            robot: Names of the action joints.
+            time: Times of the logged configurations, (T,), T ≥ 2, increasing [s].
+            qpos: The logged configurations (T, n_q).
+
+        Raises:
+            FormatError: if the model lacks a joint that the robot names.
+        """
+        try:
+            self.joints: list[int] = [model.joint(name).id for name in robot.action_joints]
+            """Ids of the action joints."""
+        except KeyError as error:
+            raise FormatError(
+                f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}"
+            ) from error
+        self.time, self.qpos = time, qpos
+        self._places: Array = model.jnt_qposadr[self.joints]
+        free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+        self._turns = [slice(int(place) + 3, int(place) + 7) for place in free]
+
+    def whole(self, time: Array, q: Array) -> Array:
+        """Configurations of the whole model at `time` (n,) [s] with the action joints at q (n, n_u)
+        [rad], (n, n_q).
+        """
+        last = len(self.time) - 1
+        after = np.clip(np.searchsorted(self.time, time), 1, last)
+        before = after - 1
+        share = np.clip(
+            (time - self.time[before]) / (self.time[after] - self.time[before]), 0.0, 1.0
+        )[:, None]
+        a, b = self.qpos[before], self.qpos[after]
+        qpos = a + share * (b - a)
+        for place in self._turns:
+            turn = a[:, place] * (1.0 - share) + b[:, place] * (
+                share * np.sign((a[:, place] * b[:, place]).sum(axis=1, keepdims=True))
+            )
+            qpos[:, place] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+        qpos[:, self._places] = q
+        return np.asarray(qpos)

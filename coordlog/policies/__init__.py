@@ -1,0 +1,1 @@
+"""What acts: scripted experts, noise, the velocity damper, and learned networks."""

@@ -1,0 +1,107 @@
+"""Arrays and JSON in one safetensors file, written so that a crash leaves the old file or the new
+one, and no pickle.
+
+Also the state of a NumPy generator as JSON: its integers are wider than any array type.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from coordlog.episode import Array, Json
+from coordlog.errors import FormatError, StorageError
+
+_T = TypeVar("_T")
+
+
+class Saved(NamedTuple):
+    """Content of a file: arrays by name, and what was said about them."""
+
+    arrays: dict[str, Array]
+    meta: Json
+
+
+def save_arrays(path: Path, arrays: Mapping[str, Array], *, kind: str, meta: Json) -> None:
+    """Write arrays and JSON-able words about them, replacing the file at once or not at all.
+
+    Args:
+        path: The file; its folder is made if need be.
+        arrays: Arrays by name.
+        kind: What the file is, checked when it is loaded.
+        meta: JSON-able dictionary.
+
+    Raises:
+        StorageError: if the file system refuses.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        whole = {
+            name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()
+        }
+        save_file(whole, part, metadata={"kind": kind, "meta": json.dumps(meta)})
+        _sync(part)
+        os.replace(part, path)
+        _sync(path.parent)
+    except (OSError, SafetensorError) as error:
+        part.unlink(missing_ok=True)
+        raise StorageError(f"{path} cannot be written: {error}") from error
+
+
+def load_arrays(path: Path, *, kind: str) -> Saved:
+    """Read a file of `save_arrays`.
+
+    Raises:
+        StorageError: if there is no such file or it cannot be read.
+        FormatError: if it is damaged, or not of this kind.
+    """
+    try:
+        with safe_open(path, framework="numpy") as file:
+            said = file.metadata() or {}
+            if said.get("kind") != kind:
+                raise FormatError(
+                    f"{path}: expected a {kind} file, got {said.get('kind', 'a file of another program')}"
+                )
+            return Saved(
+                {name: file.get_tensor(name) for name in file.keys()}, json.loads(said["meta"])
+            )  # noqa: SIM118 - not a mapping
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error}") from error
+    except SafetensorError as error:
+        raise FormatError(f"{path} is damaged or not a safetensors file: {error}") from error
+
+
+def under(prefix: str, values: Mapping[str, _T]) -> dict[str, _T]:
+    """What is named with the prefix, without it."""
+    return {
+        key.removeprefix(prefix): value for key, value in values.items() if key.startswith(prefix)
+    }
+
+
+def generator_to_json(rng: np.random.Generator) -> Json:
+    """The state of a PCG64 generator."""
+    state: dict[str, Any] = dict(rng.bit_generator.state)
+    return state
+
+
+def generator_from_json(state: Json) -> np.random.Generator:
+    """A generator that continues from a saved state."""
+    rng = np.random.default_rng()
+    rng.bit_generator.state = state
+    return rng
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

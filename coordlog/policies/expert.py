@@ -1,0 +1,274 @@
+"""The scripted expert: arms out to the sides with elbows flexed, in front, then all palms to their
+goals by inverse kinematics.
+
+It sees what any policy sees, the state, and acts in [-1, 1]. At the start of an episode it tries a
+few ways through the joint space and takes the first that touches nothing; under way it follows
+straight joint lines with feedback, and near the end corrects the palms for the sway of a robot that
+stands on its own feet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.kinematics.ik import Reach
+from coordlog.policies.avoidance import farthest, gap_at, turned
+from coordlog.sim.task import Task
+
+GAIN_STEPS = 4.0
+"""An error is meant to be gone after this many steps at the speed it asks for.
+
+Fewer would overshoot behind the command filter.
+"""
+ARRIVED = 0.15
+"""A way point is passed within this distance of every joint [rad]."""
+NEAR = 0.06
+"""Palm correction starts within this distance of the last way point [rad]."""
+CORRECTION = 0.15
+"""Share of the palm error that the last way point takes up per step."""
+CLEARANCES = (0.03, 0.02, 0.01, 0.0)
+SLIDING = (0.015, 0.0)
+"""Clearances that a way past spheres is tried with, from other links than those that slide and from
+the robot itself [m]."""
+THERE = 0.02
+"""Such a way arrives where every palm is this close to its goal [m]."""
+PROGRESS, PATIENCE = 0.005, 10
+"""A way point is passed by if for this many steps its error has not shrunk by that much [rad]: a
+sphere is in its place."""
+ROLLOUT = 130
+"""Steps that a way may take."""
+RESTARTS = 60
+"""Random postures to search from when no known one leads to the goals."""
+TRIES = 60
+"""Random changes to the via poses when no known way is free."""
+VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
+"""Joints of each side that the known via poses bend.
+
+A robot that lacks one goes straight to its goals.
+"""
+SPREAD = 0.35
+"""Standard deviation of the random changes to the via poses when no known way is free [rad]."""
+
+
+@dataclass
+class Plan:
+    """What one slot is doing: way points in joint space, the last one on the goals."""
+
+    points: list[Array]
+    goals: Array
+    bias: Array
+    held: Array | None
+    """Angles of locked joints, NaN for the others; None where all move."""
+    spheres: Array
+    at: int = 0
+    least: float = np.inf
+    """Least error to the present way point so far [rad]."""
+    stuck: int = 0
+    """Steps since it last became less."""
+
+
+class Expert:
+    """Plans at the start of an episode, then follows."""
+
+    def __init__(self, task: Task, reach: Reach, n: int) -> None:
+        """Prepare the known ways through the joint space.
+
+        Args:
+            task: View of the state, joint speeds and limits.
+            reach: Kinematics of the scene; the expert moves its spheres about.
+            n: Number of slots.
+        """
+        self._task, self._reach = task, reach
+        self._plans: list[Plan | None] = [None] * n
+        self._moves = ~task.locked  # (n_u,) bool
+        self._step = np.where(
+            self._moves, task.speeds * task.config.control_period, 1.0
+        )  # (n_u,) rad per step at action 1
+        self._ways = _ways(task)
+
+    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
+        """Plan a way for each slot."""
+        view = self._task.view
+        angles, goals = view.physical(state, "angles"), view.physical(state, "goals")
+        spheres = (
+            view.physical(state, "spheres") if self._task.n_spheres else np.zeros((len(ids), 0))
+        )
+        for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
+            targets, around = np.asarray(goal.reshape(-1, 3)), obstacle.reshape(-1, 4)
+            self._reach.place(around)
+            held = None if self._moves.all() else np.where(self._moves, np.nan, start)
+            self._plans[slot] = Plan(
+                self._way(start, targets, rng, held), targets, np.zeros_like(targets), held, around
+            )
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
+        view = self._task.view
+        angles, palms = view.physical(state, "angles"), view.physical(state, "palms")
+        action = np.zeros((len(ids), len(self._step)), dtype=np.float32)
+        for row, slot in enumerate(ids):
+            plan = self._plans[slot]
+            assert plan is not None, "begin() comes before act()"
+            self._reach.place(plan.spheres)
+            hands = palms[row].reshape(-1, 3)
+            action[row] = self._towards(
+                self._follow(plan, angles[row], hands), angles[row], farthest(hands, plan.goals)
+            )
+        return action
+
+    def _towards(self, error: Array, angles: Array, distance: float) -> Array:
+        """The action that takes up an error, all joints arriving together, sliding past what is
+        near where there are spheres, (n_u,).
+        """
+        wanted = error / (self._step * GAIN_STEPS)
+        action = wanted / max(1.0, np.abs(wanted).max())
+        if not self._task.n_spheres:
+            return np.asarray(action)
+        return turned(
+            self._reach, angles, action, step=self._step * self._moves, safe=gap_at(distance)
+        )
+
+    def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
+        """Error of the joints that move to the present way point [rad].
+
+        Passes way points and corrects the last one.
+        """
+        error = self._next(plan, angles)
+        if plan.at + 1 == len(plan.points) and np.abs(error).max() < NEAR:
+            plan.bias += CORRECTION * (plan.goals - palms)
+            corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1], held=plan.held)
+            if corrected is not None:
+                plan.points[-1] = corrected
+                error = (corrected - angles) * self._moves
+        return error
+
+    def _next(self, plan: Plan, angles: Array) -> Array:
+        """Error to the way point that is next, once those that are reached, or blocked by a sphere,
+        are passed.
+        """
+        error = np.asarray(plan.points[plan.at] - angles) * self._moves
+        size = float(np.abs(error).max())
+        plan.stuck = 0 if size < plan.least - PROGRESS else plan.stuck + 1
+        plan.least = min(plan.least, size)
+        while plan.at + 1 < len(plan.points) and (
+            np.abs(error).max() < ARRIVED or plan.stuck > PATIENCE
+        ):
+            plan.at, plan.stuck, plan.least = plan.at + 1, 0, np.inf
+            error = (plan.points[plan.at] - angles) * self._moves
+        return error
+
+    def _way(
+        self, start: Array, goals: Array, rng: np.random.Generator, held: Array | None
+    ) -> list[Array]:
+        """The first way that keeps its distance from everything; the known ways first, then random
+        changes to them.
+
+        Past spheres it slides, and does so straight to the goals if that is a way: it takes less
+        than half the steps, and where to go then follows from where everything is, not from which
+        way was taken before, so that it can be learnt.
+        """
+        ends = self._ends(goals, rng, held)
+        ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
+        known = [[*vias, end] for end in ends for vias in ways]
+        if self._task.n_spheres:
+            direct = [[end] for end in ends]
+            for clearance in SLIDING:
+                for way in direct + known:
+                    if self._slides(start, way, goals, clearance):
+                        return way
+        for clearance in CLEARANCES:
+            for way in known:
+                if self._clear([start, *way], clearance):
+                    return way
+        low, high = self._task.limits.T
+        spread = (
+            SPREAD * self._moves * self._step / self._step.max()
+        )  # a slow spine's detour would take the whole episode
+        for _ in range(TRIES):
+            vias = [
+                np.clip(via + spread * rng.standard_normal(len(via)), low, high) for via in ways[0]
+            ]
+            for end in ends:
+                if self._clear([start, *vias, end], CLEARANCES[-1]):
+                    return [*vias, end]
+        return [*ways[0], ends[0]]
+
+    def _ends(self, goals: Array, rng: np.random.Generator, held: Array | None) -> list[Array]:
+        """Legal postures with the palms on the goals, as different as their seeds.
+
+        The start posture if there is none.
+        """
+        seeds = [way[-1] for way in self._ways if way]
+        found = [self._reach.solve(goals, seed=seed, held=held) for seed in seeds] + [
+            self._reach.solve(goals, held=held)
+        ]
+        legal = [end for end in found if end is not None]
+        for _ in range(RESTARTS if not legal else 0):
+            end = self._reach.solve(
+                goals, seed=np.asarray(rng.uniform(*self._task.limits.T)), held=held
+            )
+            if end is not None:
+                return [end]
+        return legal or [
+            self._reach.standing_angles
+            if held is None
+            else np.where(self._moves, self._reach.standing_angles, held)
+        ]
+
+    def _slides(self, start: Array, way: list[Array], goals: Array, clearance: float) -> bool:
+        """Whether following a way, sliding past spheres, arrives without coming close to anything,
+        the base standing still.
+        """
+        plan, angles = (
+            Plan(list(way), goals, np.zeros_like(goals), None, np.zeros((0, 4))),
+            start.copy(),
+        )
+        for _ in range(ROLLOUT):
+            error = self._next(plan, angles)
+            distance = farthest(self._reach.palms(angles), goals)
+            if plan.at + 1 == len(way) and (distance < THERE or plan.stuck > PATIENCE):
+                return distance < THERE
+            angles = angles + self._towards(error, angles, distance) * self._step
+            if self._reach.touches(angles, clearance=clearance, own=clearance):
+                return False
+        return False
+
+    def _clear(self, points: list[Array], clearance: float) -> bool:
+        return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
+
+
+def _ways(task: Task) -> list[list[Array]]:
+    """Known ways from arms hanging to hands in front, as lists of via postures.
+
+    None for a robot with other joints.
+    """
+    joints = task.robot.action_joints
+    if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):
+        return [[]]
+
+    def posture(**degrees: float) -> Array:
+        angles = np.zeros(len(joints))
+        for name, value in degrees.items():
+            angles[joints.index(f"l_{name}")] = np.radians(value)
+            angles[joints.index(f"r_{name}")] = np.radians(
+                -value if name in ("shoulder_x", "arm_z") else value
+            )
+        return angles
+
+    home = posture(shoulder_x=20, elbow_y=-90)
+    out = posture(shoulder_x=75, elbow_y=-130)
+    wide = posture(shoulder_x=45, elbow_y=-110)
+    folded = posture(shoulder_x=25, shoulder_y=30, elbow_y=-140)
+    high = posture(shoulder_x=30, shoulder_y=-40, elbow_y=-120)
+    return [
+        [folded, home],
+        [out, home],
+        [folded, high],
+        [out, high],
+        [out, wide],
+        [out, wide, high],
+    ]

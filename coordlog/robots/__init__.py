@@ -1,0 +1,1 @@
+"""Robots as data: joints, arms, poses, and where their models come from."""

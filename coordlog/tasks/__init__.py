@@ -1,0 +1,1 @@
+"""Scenes and tasks: what is observed, rewarded, and what ends an episode."""

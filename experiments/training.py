@@ -1,0 +1,67 @@
+"""How a policy came about: the command that trains it, and what that cost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.train.metrics import read_metrics
+from coordlog.train.settings import PRESETS
+
+
+def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
+    """Updates, live steps and wall time [s] up to the policy that says this of itself, evaluations
+    included.
+    """
+    rows = read_metrics(folder / "metrics.jsonl")
+    seconds = [
+        row["seconds"] for row in rows if row.get("seconds") and row["update"] <= said["updates"]
+    ]
+    return {
+        "updates": said["updates"],
+        "steps": said["steps"],
+        "seconds": seconds[-1] if seconds else 0.0,
+    }
+
+
+def command(run: dict[str, Any]) -> str:
+    """The command that trains such a run, with today's default preset as its base.
+
+    `run` is what run.json holds.
+    """
+    scene, loop, mode = run["scene"], run["settings"]["loop"], run["mode"]
+    words = ["coordlog train"]
+    words += [f"--from logs/{scene}"] if mode != "live" else [f"--scene {scene}"]
+    words += ["--live"] if mode == "both" else []
+    words += [f"--where {json.dumps(run['where'])}"] if run["where"] else []
+    words += [f"--updates {loop['updates']}"]
+    words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
+    named = {("loop", name) for name in ("updates", "steps", "seed")}
+    replay, settings = run["settings"]["replay"], dict(run["settings"])
+    if mode != "live":  # there was one share for logs and live steps at first
+        settings["replay"] = {
+            **replay,
+            "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
+        }
+    for section, values in settings.items():
+        usual = PRESETS["default"].asdict()[section]
+        words += [
+            f"--set {section}.{k}={json.dumps(v)}"
+            for k, v in values.items()
+            if (section, k) not in named and v != usual.get(k)
+        ]
+    for section, values in around(run["env"]).items():
+        words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
+    return " ".join([*words, f"--seed {run['seed']}"])
+
+
+def around(env: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What of an environment's constants, of a `coordlog.env` record, is not as usual."""
+    usual = {"env": to_mapping(EnvConfig()), "reward": to_mapping(RewardConfig())}
+    said = {"env": env.get("config", {}), "reward": env.get("reward", {})}
+    return {
+        name: {key: value for key, value in said[name].items() if value != usual[name].get(key)}
+        for name in usual
+    }

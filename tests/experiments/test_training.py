@@ -1,0 +1,40 @@
+"""The command that trains a run again, written from what the run says of itself."""
+
+from __future__ import annotations
+
+import json
+
+from coordlog.commands.policies import SHIPPED
+from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from experiments.training import around, command
+
+
+def test_constants_of_the_environment_that_are_not_as_usual_are_part_of_the_command() -> None:
+    card = json.loads((SHIPPED / "table.json").read_text(encoding="utf-8"))["training"]
+    run = {
+        "scene": "table",
+        "mode": "logs",
+        "where": "",
+        "settings": card["settings"],
+        "seed": 3,
+        "envs": 0,
+        "env": card["env"],
+    }
+    plain = command(run)
+    assert "reward." not in plain
+    assert plain.endswith("--seed 3")
+    dear = run | {
+        "env": {
+            "config": card["env"]["config"] | {"max_steps": 90},
+            "reward": card["env"]["reward"] | {"n1": 3.0},
+        }
+    }
+    words = set(command(dear).split()) - set(plain.split())
+    assert words == {"env.max_steps=90", "reward.n1=3.0"}
+
+
+def test_what_is_as_usual_is_not_said() -> None:
+    assert around({"config": to_mapping(EnvConfig()), "reward": to_mapping(RewardConfig())}) == {
+        "env": {},
+        "reward": {},
+    }
