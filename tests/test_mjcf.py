@@ -6,10 +6,10 @@ import zstandard
 
 from coordlog import mjcf as attached
 from coordlog.errors import FormatError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import compose, load_model
 from coordlog.sim.env import binary
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose
+from coordlog.tasks.scene import SCENES
 
 
 def packed(content):

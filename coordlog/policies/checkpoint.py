@@ -70,9 +70,8 @@ def load_arrays(path: Path, *, kind: str) -> Saved:
                 raise FormatError(
                     f"{path}: expected a {kind} file, got {said.get('kind', 'a file of another program')}"
                 )
-            return Saved(
-                {name: file.get_tensor(name) for name in file.keys()}, json.loads(said["meta"])
-            )  # noqa: SIM118 - not a mapping
+            names = file.keys()  # not a mapping: it cannot be iterated
+            return Saved({name: file.get_tensor(name) for name in names}, json.loads(said["meta"]))
     except OSError as error:
         raise StorageError(f"{path} cannot be read: {error}") from error
     except SafetensorError as error:

@@ -12,15 +12,15 @@ import zstandard
 
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
-from coordlog.mjcf import self_contained
+from coordlog.mjcf import compile_model, compose, self_contained
 from coordlog.robots.robot import Robot
-from coordlog.sim.physics import STATE, Physics, compile_model
+from coordlog.sim.physics import STATE, Physics
 from coordlog.sim.sampler import Branch, Draw, Problem
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import Layout
 from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
-from coordlog.tasks.scene import Scene, compose
+from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
 SETTLE_SECONDS = 4.0

@@ -18,7 +18,7 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
 from coordlog.episode import CONTACT, Array
-from coordlog.errors import ConfigError, SimulationError
+from coordlog.mjcf import silence
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CURRENT = mujoco.mjtStage.mjSTAGE_VEL
@@ -29,36 +29,6 @@ DIVERGED = 1e10
 COUNTERS = ("ncon", "nefc", "ne", "nf", "nl")
 """Contacts, constraint rows, and the rows of equalities, dry friction and joint limits among
 them."""
-
-
-def silence() -> None:
-    """Keep MuJoCo from writing warnings to the console and to a file in the working directory: what
-    diverges is a flag here.
-    """
-    log = mujoco.MjLogConfig.get()
-    log.logto_console = log.logto_file = False
-    mujoco.MjLogConfig.set(log)
-
-
-def compile_model(xml: str) -> mujoco.MjModel:
-    """Compile MJCF text whose contacts can be told apart (module docstring).
-
-    Raises:
-        SimulationError: if MuJoCo refuses the text, with MuJoCo's reason.
-        ConfigError: if a geom's condim is not 3.
-    """
-    try:
-        model = mujoco.MjModel.from_xml_string(xml)
-    except ValueError as error:
-        raise SimulationError(
-            f"model: expected MJCF that compiles; MuJoCo says: {str(error).splitlines()[0]}"
-        ) from error
-    if (model.geom_condim != 3).any():
-        name = model.geom(int(np.flatnonzero(model.geom_condim != 3)[0])).name
-        raise ConfigError(
-            f"geom '{name}': expected condim 3 (only soles get 4, by their pair with the floor), got another"
-        )
-    return model
 
 
 class Physics:

@@ -7,14 +7,12 @@ goals are markers: nothing collides with them.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 from coordlog.errors import ConfigError, unknown
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.robots.planar import PLANAR
 from coordlog.robots.robot import Robot
-from coordlog.tasks.config import EnvConfig
 
 Box3 = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
@@ -170,76 +168,6 @@ def find(name: str) -> Scene:
     return SCENES[name]
 
 
-def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> str:
-    """The scene's model as MJCF text: robot, floor, panels, mocap bodies, and the sensors the task
-    reads.
-
-    Only sole-on-floor contacts have four dimensions (they resist twisting), all others three: the
-    count of constraint rows then tells, without looking at a contact, how many are soles on the
-    floor (sim/physics.py).
-
-    Args:
-        scene: What to build.
-        config: Decides whether the zero-moment point's and the last links' sensors are needed, and
-            how much larger panels are.
-        radii: Radii of the spheres as simulated [m]; without them the scene's largest.
-
-    Raises:
-        ConfigError: if the robot's model is no XML, or lacks something its spec names.
-    """
-    try:
-        root = ET.fromstring(scene.robot.mjcf)
-    except ET.ParseError as error:
-        raise ConfigError(
-            f"robot '{scene.robot.name}': expected its model as MJCF text: {error}"
-        ) from error
-    world = _section(root, "worldbody")
-    base = str(_first(world, "body", scene.robot).get("name"))
-    ET.SubElement(
-        _section(root, "option"), "flag", autoreset="disable"
-    )  # a diverged state stays visible instead of jumping to zero
-    ET.SubElement(
-        world,
-        "light",
-        name="sun",
-        pos="0.6 -0.6 2",
-        dir="-0.3 0.3 -1",
-        castshadow="true",
-        diffuse="0.7 0.7 0.7",
-    )
-    ET.SubElement(
-        world, "camera", name="front", pos="1.25 -0.85 0.95", xyaxes="0.562 0.827 0 -0.30 0.20 0.93"
-    )
-    if scene.robot.soles:
-        ET.SubElement(
-            world,
-            "geom",
-            name="floor",
-            type="plane",
-            size="2 2 0.1",
-            rgba="0.55 0.58 0.62 1",
-            friction="0.8 0.005 0.0001",
-        )
-    for panel in scene.panels:
-        half = tuple(extent + config.inflate for extent in panel.half)
-        ET.SubElement(
-            world,
-            "geom",
-            name=panel.name,
-            type="box",
-            pos=_numbers(panel.centre),
-            size=_numbers(half),
-            rgba="0.62 0.45 0.30 1",
-        )
-    _mocap_bodies(world, scene, radii)
-    _soles(root, scene.robot)
-    _sensors(_section(root, "sensor"), scene.robot, config, base=base)
-    if scene.spheres and "nearness" in config.state_extras:
-        _links(root, scene.robot)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
-
-
 def goal_body(arm: str) -> str:
     """Name of the mocap body that marks an arm's goal."""
     return f"goal_{arm}"
@@ -263,146 +191,3 @@ def sphere_geom(index: int) -> str:
 def sole_corner(sole: str, index: int) -> str:
     """Name of the site at one lower corner of a sole."""
     return f"{sole}_corner_{index}"
-
-
-def _mocap_bodies(world: ET.Element, scene: Scene, radii: tuple[float, ...]) -> None:
-    marker = {"contype": "0", "conaffinity": "0", "group": "1", "mass": "0"}
-    for arm in scene.robot.arms:
-        body = ET.SubElement(
-            world, "body", name=goal_body(arm.name), mocap="true", pos=_numbers(scene.robot.centre)
-        )
-        ET.SubElement(
-            body,
-            "geom",
-            marker,
-            name=goal_body(arm.name),
-            type="sphere",
-            size="0.008",
-            rgba="0.95 0.25 0.25 1",
-        )
-    if scene.object_half is not None:
-        body = ET.SubElement(
-            world, "body", name="object", mocap="true", pos=_numbers(scene.robot.centre)
-        )
-        ET.SubElement(
-            body,
-            "geom",
-            marker,
-            name="object",
-            type="box",
-            size=_numbers(scene.object_half),
-            rgba="0.25 0.70 0.35 0.6",
-        )
-    for i in range(scene.spheres):
-        radius = radii[i] if radii else scene.sphere_radius[1]
-        body = ET.SubElement(world, "body", name=sphere_geom(i), mocap="true", pos=f"1 {i} 1")
-        ET.SubElement(
-            body,
-            "geom",
-            name=sphere_geom(i),
-            type="sphere",
-            size=repr(radius),
-            rgba="0.75 0.35 0.65 1",
-        )
-
-
-def _soles(root: ET.Element, robot: Robot) -> None:
-    """Mark each sole's lower corners with sites, and give its contact with the floor a pair of its
-    own.
-    """
-    contact = _section(root, "contact")
-    for sole in robot.soles:
-        parent = next(
-            (
-                body
-                for body in root.iter("body")
-                for geom in body.findall("geom")
-                if geom.get("name") == sole
-            ),
-            None,
-        )
-        geom = (
-            None
-            if parent is None
-            else next(geom for geom in parent.findall("geom") if geom.get("name") == sole)
-        )
-        if parent is None or geom is None or geom.get("type") != "box":
-            raise ConfigError(
-                f"robot '{robot.name}': expected a box geom called '{sole}' as a sole, found none"
-            )
-        cx, cy, cz = (float(value) for value in geom.get("pos", "0 0 0").split())
-        hx, hy, hz = (float(value) for value in geom.get("size", "").split())
-        for i, (sx, sy) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
-            ET.SubElement(
-                parent,
-                "site",
-                name=sole_corner(sole, i),
-                pos=_numbers((cx + sx * hx, cy + sy * hy, cz - hz)),
-                size="0.002",
-            )
-        ET.SubElement(
-            contact,
-            "pair",
-            geom1="floor",
-            geom2=sole,
-            condim="4",
-            friction="1 1 0.02 0.0001 0.0001",
-        )
-
-
-def _sensors(sensor: ET.Element, robot: Robot, config: EnvConfig, *, base: str) -> None:
-    for arm in robot.arms:
-        ET.SubElement(
-            sensor, "framepos", name=palm_sensor(arm.name), objtype="site", objname=arm.palm
-        )
-    if robot.soles:
-        ET.SubElement(sensor, "subtreecom", name="com", body=base)
-        ET.SubElement(sensor, "framezaxis", name="upright", objtype="xbody", objname=robot.torso)
-        for sole in robot.soles:
-            for i in range(4):
-                ET.SubElement(
-                    sensor,
-                    "framepos",
-                    name=sole_corner(sole, i),
-                    objtype="site",
-                    objname=sole_corner(sole, i),
-                )
-        if config.balance == "com+zmp":
-            ET.SubElement(sensor, "subtreelinvel", name="com_velocity", body=base)
-
-
-def _links(root: ET.Element, robot: Robot) -> None:
-    """Sensors of where each arm's last link begins."""
-    bearers = {
-        str(site.get("name")): str(body.get("name"))
-        for body in root.iter("body")
-        for site in body.findall("site")
-    }
-    for arm in robot.arms:
-        if arm.palm not in bearers:
-            raise ConfigError(
-                f"robot '{robot.name}': expected a site called '{arm.palm}' as a palm, found none"
-            )
-        ET.SubElement(
-            _section(root, "sensor"),
-            "framepos",
-            name=link_sensor(arm.name),
-            objtype="xbody",
-            objname=bearers[arm.palm],
-        )
-
-
-def _first(parent: ET.Element, tag: str, robot: Robot) -> ET.Element:
-    found = parent.find(tag)
-    if found is None:
-        raise ConfigError(f"robot '{robot.name}': expected a {tag} in its model, found none")
-    return found
-
-
-def _section(root: ET.Element, name: str) -> ET.Element:
-    found = root.find(name)
-    return ET.SubElement(root, name) if found is None else found
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    return " ".join(f"{value + 0.0:.12g}" for value in values)

@@ -276,7 +276,7 @@ class MixedReplay:
     ) -> None:
         """A part of a batch, a share of it in hindsight, and of that a share `far`; `imitation`
         weighs the behaviour term in hindsight and as it was, where nothing went wrong soon after.
-        """  # noqa: D205 - one sentence
+        """
         config = self._config
         rows = store.draw(rng, len(out.state))
         count = round(share * len(rows))

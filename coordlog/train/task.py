@@ -72,7 +72,7 @@ class LiveSource(Protocol):
     def collect(self, steps: int, policy: Callable[[Array], Array]) -> Block:
         """Step every simulation `steps` times with actions from the policy ((lanes, n_x) → (lanes,
         n_u)), starting episodes as others end. Called from another thread, never twice at once.
-        """  # noqa: D205 - one sentence
+        """
         ...
 
     def summary(self) -> Mapping[str, float]:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import mujoco
 
+from coordlog.mjcf import compose
 from coordlog.sim.env import hinges
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose
+from coordlog.tasks.scene import SCENES
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
 
 

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT, support_margin
 from coordlog.kinematics.geometry import Geometry, Motion, hull
+from coordlog.mjcf import compose
 from coordlog.sim.env import settled
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose
+from coordlog.tasks.scene import SCENES
 
 
 def geometry(name):

@@ -3,9 +3,10 @@
 import mujoco
 import pytest
 
+from coordlog.mjcf import compose
 from coordlog.sim.env import hinges
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose
+from coordlog.tasks.scene import SCENES
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from coordlog.mjcf import compile_model, compose
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.sim.env import settled
-from coordlog.sim.physics import compile_model
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import compose, find
+from coordlog.tasks.scene import find
 
 MOTORS = {
     "MX-28": (100.0, 2.5),

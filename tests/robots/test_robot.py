@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from coordlog.errors import ConfigError, FormatError, SimulationError
+from coordlog.mjcf import compile_model, compose
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.robots.planar import PLANAR
 from coordlog.robots.robot import Arm, Robot
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.physics import compile_model
 from coordlog.sim.task import Task
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from coordlog.tasks.scene import Scene, compose, find
+from coordlog.tasks.scene import Scene, find
 
 
 def build(robot):

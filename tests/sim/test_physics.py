@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from coordlog.episode import CONTACT
+from coordlog.mjcf import compile_model, compose
 from coordlog.sim.env import BatchEnv, settled
-from coordlog.sim.physics import DIVERGED, Physics, compile_model, deepest
+from coordlog.sim.physics import DIVERGED, Physics, deepest
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose, find, sphere_geom
+from coordlog.tasks.scene import SCENES, find, sphere_geom
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SUBSTEPS = 10

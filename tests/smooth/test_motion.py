@@ -139,9 +139,10 @@ def test_longer_soft_ends_keep_every_rule_too():
 def load_of(path, torque):
     """Figures where torques are any function of the motion, and the balance is what is left of 1
     m/s²."""
-    inverse = lambda time, q, velocity, acceleration: Load(
-        torque(q, velocity, acceleration), 1.0 - abs(acceleration).max(axis=1)
-    )  # noqa: E731
+
+    def inverse(time, q, velocity, acceleration):
+        return Load(torque(q, velocity, acceleration), 1.0 - abs(acceleration).max(axis=1))
+
     return PathLoad.of(path, inverse, 0.04)
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from coordlog.errors import ConfigError, SimulationError
 from coordlog.kinematics.ik import obstacles
-from coordlog.sim.physics import compile_model
+from coordlog.mjcf import compile_model, compose
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import SCENES, compose, find, sphere_geom
+from coordlog.tasks.scene import SCENES, find, sphere_geom
 
 PAPER = ("free", "spheres", "table", "shelf")
 CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE

@@ -21,7 +21,7 @@ from coordlog.verify.file import check
 from coordlog.verify.repair import recover
 from tests.synthetic import ATTACHMENTS, COLUMNS, assert_same, make_episode, outcome, rewards
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[2]
 
 RECORDING = """
 import sys
