@@ -98,16 +98,17 @@ def make_env(
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
+    from coordlog.config import build
     from coordlog.sim.env import BatchEnv
-    from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+    from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.scene import find
 
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
-    reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
-    constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
+    reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
+    constants = build(EnvConfig, before["config"] | tables.get("env", {}))
     if doubts and "reward" in tables:
         for doubt in reward.doubts(steps=constants.max_steps):
             note(doubt)
