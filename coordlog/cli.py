@@ -16,6 +16,7 @@ from rich.text import Text
 from coordlog.commands import (
     check,
     diff,
+    export,
     index,
     info,
     pack,
@@ -50,6 +51,7 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("export")(export.export)
 app.command("index")(index.index)
 app.command("query")(query.query)
 app.command("select")(select.select)

@@ -15,7 +15,6 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-
 from coordlog.catalog.gather import Gathered
 from coordlog.catalog.query import EXTRA, ask
 from coordlog.catalog.rows import COLUMNS
