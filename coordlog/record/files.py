@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordlog.errors import CoordlogError, FormatError, SpecError, StorageError
+from coordlog.record.addresses import expand
 from coordlog.record.storage import PART
 from coordlog.strangers import SUFFIXES, recognise
 
@@ -59,6 +60,11 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
     paths: list[Path] = []
     for path in map(Path, given):
         try:
+            inside = expand(path, search=lambda sources: find_files(sources).paths)
+            if inside is not None:
+                paths += inside.paths
+                walk.skipped += [Skipped(*item) for item in inside.left_out]
+                continue
             status = _status(path)
             if stat.S_ISDIR(status.st_mode):
                 walk.folder(path)

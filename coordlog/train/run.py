@@ -22,9 +22,11 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from coordlog.config import plain
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError
 from coordlog.record.storage import lock
+from coordlog.tasks.config import EnvConfig
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK, HELD = "run.json", "data.lock", ".held"
@@ -47,7 +49,7 @@ TABLES = (
     *("config", "reward", "robot", "layout"),
 )
 """Entries of settings and env that are tables."""
-MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data")
+MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data", "start")
 """Keys of run.json that a resumed run may not change."""
 
 
@@ -169,6 +171,9 @@ def _checked(path: Path, said: Json) -> Json:
     for name, section in sections:
         if name in TABLES and type(section) is not dict:
             raise ConfigError(f"{path}: '{name}': expected a table, got {str(section)[:40]!r}")
+    said.setdefault("start", "stand")  # runs of before there was a choice
+    if "env" in said:
+        said["env"]["config"] = plain(EnvConfig()) | said["env"].get("config", {})
     return said
 
 
