@@ -60,6 +60,8 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
     paths: list[Path] = []
     for path in map(Path, given):
         try:
+            if "\0" in str(path):
+                raise StorageError(f"{path}: no such file or folder: a zero byte in its name")
             inside = expand(path, search=lambda sources: find_files(sources).paths)
             if inside is not None:
                 paths += inside.paths
@@ -71,7 +73,7 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
             else:
                 walk.named(path, status)
         except (FormatError, StorageError) as error:
-            if len(given) == 1 or not os.path.lexists(path):
+            if len(given) == 1 or "no such file" in str(error):
                 raise
             walk.skip(path, reason_of(path, error))
         paths += walk.taken()
@@ -137,8 +139,6 @@ def _status(path: Path) -> os.stat_result:
         raise StorageError(f"{path}: no such file or folder: No such file or directory") from None
     except OSError as error:
         raise StorageError(f"{path}: cannot read: {error.strerror}") from None
-    except ValueError as error:  # a zero byte in the name
-        raise StorageError(f"{path}: no such file or folder: {error}") from None
 
 
 def _kind(mode: int) -> str:

@@ -140,7 +140,7 @@ def test_a_path_that_cannot_be_is_one_sentence(tmp_path: Path, name: str) -> Non
     with pytest.raises(StorageError):
         find_files(tmp_path / name)
     (tmp_path / "a.mcap").write_bytes(b"1")
-    if "\0" not in name:
+    if name == "nowhere":
         with pytest.raises(StorageError):
             find_files([tmp_path / "a.mcap", tmp_path / name])
 
