@@ -34,7 +34,9 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coordlog" / "columns"
 
 
-def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) -> Logs:
+def load_logs(
+    paths: list[Path], *, where: str, skip_broken: bool, jobs: int, verify: bool = False
+) -> Logs:
     """The episodes under some folders that satisfy a condition, as columns; all of one scene and
     one state layout.
 
@@ -59,8 +61,10 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
                 bar.update(task, advance=built.files)
                 yield built
 
-        logs = load(files.paths, cache_folder(), run=run)
+        logs = load(files.paths, cache_folder(), run=run, verify=verify)
     logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
+    for text in logs.notes:
+        terminal.note(text)
     for item in logs.skipped:
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")

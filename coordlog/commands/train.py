@@ -92,6 +92,10 @@ def train(
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")
     ] = False,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Read every log again, also those that did not change."),
+    ] = False,
     jobs: Annotated[
         int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
     ] = 0,
@@ -162,7 +166,11 @@ def train(
     )
     preset = preset or _preset(out if resume else None, live=not source)
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
-    logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
+    logs = (
+        load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs, verify=verify)
+        if source
+        else None
+    )
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")

@@ -10,15 +10,16 @@ A file that is not a finished episode is an error that names it; with `skip_brok
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeVar, overload
+from typing import NamedTuple, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
 
-from coordlog.episode import Array, Episode, Result
+from coordlog.episode import Array, Episode, Header, Result
 from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
 from coordlog.record.files import SUFFIX as SUFFIX
@@ -26,19 +27,15 @@ from coordlog.record.files import Files as Files
 from coordlog.record.files import Skipped, find_files
 from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.messages import decode_final, decode_steps
-from coordlog.record.metadata import (
-    ENV,
-    EPISODE,
-    RESULT,
-    decode_layout,
-    decode_result,
-    require_version,
-)
+from coordlog.record.metadata import RESULT, decode_header, decode_result
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import Contents, contents, probe, read_episode, require_order
 from coordlog.spec import FINAL, STEP
 
 _T = TypeVar("_T")
+
+Columns = tuple[dict[str, Array], dict[str, Array], Array]
+"""Columns of all steps and of all final states, and the lengths of the episodes."""
 
 _TOPICS = frozenset({STEP.topic, FINAL.topic})
 _GROUP = 16  # files decoded together: their blocks stay in the cache
@@ -168,9 +165,11 @@ class _Loaded:
         data = load(path)
         with naming(path):
             found: Contents = contents(data, only=_TOPICS)
-            require_version(found.metadata.get(EPISODE, {}))
-            self.layout, self.arms = decode_layout(found.metadata.get(ENV, {}))
+            self.header = decode_header(found.metadata)
             self.result: Result = decode_result(found.metadata.get(RESULT, {}))
+        self.layout, self.arms = self.header.layout, self.header.arms
+        self.sha256 = hashlib.sha256(data).hexdigest()
+        self.kind = repr((self.layout, self.arms))
         self.index, self.path = index, path
         self.steps, self.final = (
             found.messages.get(STEP.topic, []),
@@ -187,7 +186,7 @@ class _Loaded:
                 )
 
 
-def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], Array]:
+def _decoded(group: list[_Loaded]) -> Columns:
     """Columns of all steps and of all final states of a group, and the lengths of its episodes."""
     layout, lengths = group[0].layout, np.array([loaded.result.length for loaded in group])
     with naming(group[0].path):
@@ -197,8 +196,8 @@ def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], 
     return steps, final, lengths
 
 
-def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
-    steps, _, lengths = _decoded(group)
+def _step_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.RecordBatch:
+    steps, _, lengths = columns or _decoded(group)
     episode = np.repeat(np.array([loaded.index for loaded in group], np.int32), lengths)
     return record_batch(
         [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in STEP.fields)],
@@ -206,8 +205,8 @@ def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
     )
 
 
-def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
-    _, final, lengths = _decoded(group)
+def _final_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.RecordBatch:
+    _, final, lengths = columns or _decoded(group)
     fields = [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in FINAL.fields[1:])]
     batch = record_batch(
         fields, {"episode": np.array([loaded.index for loaded in group], np.int32), **final}
@@ -224,3 +223,83 @@ def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
     for name, values in rest.items():
         batch = batch.append_column(name, pa.array(values))
     return batch
+
+
+class Decoded(NamedTuple):
+    """Episodes of one kind (robot and task), decoded in one go."""
+
+    steps: pa.Table
+    """as `Dataset.to_table`"""
+    finals: pa.Table
+    """as `Dataset.finals`"""
+    headers: tuple[Header, ...]
+    digests: tuple[str, ...]
+    """sha256 of the files"""
+
+
+def decoded(
+    paths: Sequence[Path],
+    *,
+    skipped: list[Skipped],
+    digests: dict[Path, str],
+    known: frozenset[str] = frozenset(),
+) -> list[Decoded]:
+    """Files decoded kind by kind; each is read once.
+
+    Args:
+        paths: Files that may be episodes.
+        skipped: Those that are not are added here.
+        digests: The sha256 of those that are is added here.
+        known: Digests of files that need no decoding.
+    """
+    dataset = Dataset((), skip_broken=True)
+    kinds: dict[str, list[_Both]] = {}
+    seen = set(known)
+    for start in range(0, len(paths), _GROUP):
+        alike: dict[str, list[_Loaded]] = {}
+        for path in paths[start : start + _GROUP]:
+            loaded = dataset.attempt(path, partial(_Loaded, 0))
+            if loaded is None:
+                continue
+            digests[path] = loaded.sha256
+            if loaded.sha256 not in seen and loaded.result.length:
+                alike.setdefault(loaded.kind, []).append(loaded)
+                seen.add(loaded.sha256)
+        for kind, group in alike.items():
+            kinds.setdefault(kind, []).extend(_both(dataset, group))
+    skipped += dataset.skipped
+    for item in dataset.skipped:
+        digests.pop(item.path, None)
+    return [
+        Decoded(
+            pa.Table.from_batches([part.steps for part in parts]),
+            pa.Table.from_batches([part.finals for part in parts]),
+            tuple(loaded.header for part in parts for loaded in part.group),
+            tuple(loaded.sha256 for part in parts for loaded in part.group),
+        )
+        for parts in kinds.values()
+        if parts
+    ]
+
+
+class _Both(NamedTuple):
+    group: list[_Loaded]
+    steps: pa.RecordBatch
+    finals: pa.RecordBatch
+
+
+def _both(dataset: Dataset, group: list[_Loaded]) -> list[_Both]:
+    """Both batches of a group; if a file of it is broken, file by file."""
+
+    def convert(some: list[_Loaded]) -> _Both:
+        columns = _decoded(some)
+        return _Both(some, _step_batch(some, columns), _final_batch(some, columns))
+
+    try:
+        return [convert(group)]
+    except FormatError:
+        tried = [
+            dataset.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
+            for loaded in group
+        ]
+        return [both for both in tried if both is not None]
