@@ -68,8 +68,7 @@ def recover(
     else:
         told = [_tried(item, out, discard_empty=discard_empty) for item in wanted]
     if as_json:
-        rows = [item._asdict() for item in told]
-        terminal.print_json([row | {"path": row["path"] and str(row["path"])} for row in rows])
+        terminal.print_json([item._asdict() for item in told])
     else:
         for item in told:
             terminal.say(_sentence(item))

@@ -123,11 +123,11 @@ def print_json(data: Any) -> None:
 
     Numbers that JSON lacks are null; what the encoding lacks is written as JSON escapes.
     """
-    text = json.dumps(_finite(data), indent=2, ensure_ascii=False)
+    text = json.dumps(_finite(data), indent=2, ensure_ascii=False, default=str)
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:
-        text = json.dumps(_finite(data), indent=2)
+        text = json.dumps(_finite(data), indent=2, default=str)
     try:
         print(text, flush=True)  # noqa: T201
     except BrokenPipeError:
@@ -161,7 +161,10 @@ def table(
     )
     for name in columns:
         drawn.add_column(
-            name, justify="right" if name in right else "left", no_wrap=True, overflow="ellipsis"
+            Text(shown(name)),
+            justify="right" if name in right else "left",
+            no_wrap=True,
+            overflow="ellipsis",
         )
     for row in rows:
         drawn.add_row(*(Text(shown(cell)) for cell in row))
