@@ -123,7 +123,7 @@ def row(path: File) -> Row:
         truncated=result.truncated,
         aborted=result.aborted,
         transform=str(lineage.get("transform", "")),
-        parents=tuple(lineage.get("parents", ())),
+        parents=tuple(map(str, lineage.get("parents") or ())),
         size=size,
     )
 
