@@ -160,7 +160,7 @@ def harm_metadata(
 ) -> Count:
     """Write the episode with odd metadata, every CRC right, and run commands on it.
 
-    One of the words of a command is FILE.
+    In the words of a command FILE stands for it, and OUT for a folder that is not there.
     """
     rng, found = np.random.default_rng(seed), Count()
     episode, attached = read_episode(source), read_attachments(source)
@@ -175,8 +175,11 @@ def harm_metadata(
             write_episode(path, episode, attachments=attached, display=False)
         words = commands[int(rng.integers(len(commands)))]
         shutil.rmtree(folder / "out", ignore_errors=True)
-        place = {"FILE": path, "OUT": folder / "out"}
-        code, _, error = command(*(place.get(word, word) for word in words))
+        (folder / "out.mcap").unlink(missing_ok=True)
+        out = folder / "out"
+        code, _, error = command(
+            *(word.replace("FILE", str(path)).replace("OUT", str(out)) for word in words)
+        )
         found.tried += 1
         found.noticed += code in (1, 2, 3)
         if error is not None:
