@@ -179,7 +179,7 @@ class Task(Protocol):
         >>> task = ReachTask(EnvConfig(), RewardConfig())       # doctest: +SKIP
         >>> columns = task.measure(reading)                     # doctest: +SKIP
         >>> columns |= task.derive(columns)                     # doctest: +SKIP
-        >>> columns["reward"].shape                             # doctest: +SKIP
+        >>> task.reward(columns).shape                          # doctest: +SKIP
         (16, 2)
     """
 
@@ -222,12 +222,19 @@ class Task(Protocol):
         ...
 
     def derive(self, columns: Mapping[str, Array]) -> dict[str, Array]:
-        """All that follows from what was measured: `reward` (n, k), `terminated` (n,) and the rest
-        of its own columns.
+        """The rest of its own columns, from those that were measured.
 
-        The one definition of every flag, reward and ending: simulation, check, hindsight and
-        Gymnasium's `compute_reward` all come here.
+        The one definition of every flag, as `reward` and `ended` are of theirs: simulation, check,
+        hindsight and Gymnasium's `compute_reward` all come here (`tasks.registry.follow`).
         """
+        ...
+
+    def reward(self, columns: Mapping[str, Array]) -> Array:
+        """Rewards, (n, k), from its own columns."""
+        ...
+
+    def ended(self, columns: Mapping[str, Array]) -> Array:
+        """Steps that end the episode for good, (n,) bool, from its own columns."""
         ...
 
     def accomplished(self, columns: Mapping[str, Array]) -> Array:
