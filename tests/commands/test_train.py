@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from coordlog.cli import app
-from coordlog.commands.training import Judge
+from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
 from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
@@ -167,9 +167,10 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0)
     )
     policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
+    envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge("planar", {"env": {"max_steps": 3}}, None, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
