@@ -15,7 +15,7 @@ T steps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -105,6 +105,10 @@ class Outcome:
     """Whether the state is no number any more, (n,) bool; then no column means anything."""
     contacts: list[Array]
     """CONTACT rows per simulation, their step not yet filled in."""
+    success: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Whether the episode, if it ends here, has succeeded, (n,) bool; empty where no task says."""
+    clean: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Whether it has, and nothing went wrong at any step, (n,) bool."""
 
     def __getattr__(self, name: str) -> Array:
         """A column by its name.
@@ -249,7 +253,8 @@ class Task(Protocol):
         self, rng: np.random.Generator, scene: Any, kinematics: Kinematics, angles: Array
     ) -> Sample | None:
         """Draw goals in a scene (`tasks.scene.Scene`) for an episode that starts at these joint
-        angles (n_u,); None where the draw is of no use and another is to be made."""
+        angles (n_u,); None where the draw is of no use and another is to be made.
+        """
         ...
 
 
@@ -318,7 +323,8 @@ class Checker(Protocol):
 
     def slack(self, qpos: Array) -> Array:
         """Least signed clearance of configurations (n, n_q), (n,) [m]; negative where something
-        touches that should not."""
+        touches that should not.
+        """
         ...
 
 

@@ -17,9 +17,10 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from coordlog.config import plain
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError
-from coordlog.tasks.config import EnvConfig, to_mapping
+from coordlog.tasks.config import EnvConfig
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK = "run.json", "data.lock"
@@ -85,7 +86,7 @@ def recall(folder: Path) -> Json:
         raise ConfigError(f"{folder / RUN}: expected a JSON object, got {str(said)[:40]}")
     said.setdefault("start", "stand")  # runs of before there was a choice
     if isinstance(said.get("env"), dict):
-        said["env"]["config"] = to_mapping(EnvConfig()) | said["env"].get("config", {})
+        said["env"]["config"] = plain(EnvConfig()) | said["env"].get("config", {})
     return said
 
 

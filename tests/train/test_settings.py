@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from coordlog.config import build
 from coordlog.errors import ConfigError, StorageError
-from coordlog.tasks.config import TRAINING_ONLY, EnvConfig, RewardConfig, from_mapping
+from coordlog.tasks.config import TRAINING_ONLY, EnvConfig, RewardConfig
 from coordlog.train import config
 from coordlog.train.config import BehaviourConfig, NoiseConfig, PracticeConfig
 from coordlog.train.settings import (
@@ -156,8 +157,8 @@ def test_what_makes_training_easier_is_named_alike_in_both_places() -> None:
 def test_a_presets_surroundings_are_constants_that_there_are(preset: str) -> None:
     around = surroundings(preset)
     config, reward = (
-        from_mapping(EnvConfig, around["config"]),
-        from_mapping(RewardConfig, around["reward"]),
+        build(EnvConfig, around["config"]),
+        build(RewardConfig, around["reward"]),
     )
     gamma = PRESETS[preset].learner.gamma
     assert reward.doubts(gamma=gamma, steps=config.max_steps, farthest=0.5) == []
