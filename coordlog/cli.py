@@ -15,12 +15,17 @@ from rich.text import Text
 
 from coordlog.commands import (
     check,
+    diff,
     export,
+    index,
     info,
+    pack,
     plot,
+    query,
     record,
     recover,
     scenes,
+    select,
     smooth,
     train,
     view,
@@ -47,6 +52,12 @@ app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
 app.command("export")(export.export)
+app.command("index")(index.index)
+app.command("query")(query.query)
+app.command("select")(select.select)
+app.command("diff")(diff.diff)
+app.command("pack")(pack.pack)
+app.command("unpack")(pack.unpack)
 
 
 def _version(wanted: bool) -> None:

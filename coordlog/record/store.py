@@ -15,7 +15,8 @@ from typing import Self
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, is_pack, listed
 from coordlog.record.dataset import find_files
-from coordlog.record.packs import SHARD_BYTES, PackWriter, is_shard
+from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
+from coordlog.record.packs import is_shard
 from coordlog.record.places import Bucket, Entry, is_url
 from coordlog.record.storage import move_new, refuse_existing, translated
 
