@@ -87,19 +87,20 @@ def make_env(
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
+    from coordlog.config import build
     from coordlog.sim.env import BatchEnv
-    from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+    from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.scene import find
 
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
-    reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
+    reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
     if doubts and "reward" in tables:
         for doubt in reward.doubts():
             note(doubt)
-    constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
+    constants = build(EnvConfig, before["config"] | tables.get("env", {}))
     return BatchEnv(
         find(scene) if isinstance(scene, str) else scene,
         constants,

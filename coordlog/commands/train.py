@@ -204,7 +204,7 @@ def _around(
 
     And the assignments that are not about these.
     """
-    from coordlog.train.settings import parse_assignment
+    from coordlog.config import parse_assignment
 
     around, rest = {name: dict(tables.pop(name)) for name in TABLES if name in tables}, []
     for text in assignments:

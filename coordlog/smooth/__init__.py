@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from coordlog.verbs import make_verb
+
 if TYPE_CHECKING:
     from coordlog.smooth.feasibility import (
         Checker,
@@ -50,3 +52,6 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'coordlog.smooth' has no attribute '{name}'")
     return getattr(import_module(f"coordlog.smooth.{_HOME[name]}"), name)
+
+
+make_verb(__name__)

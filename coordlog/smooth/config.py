@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
+from coordlog.config import build
 from coordlog.errors import ConfigError, unknown
 
 METHODS = ("local", "paper", "shared")
@@ -76,13 +77,9 @@ class Config:
         """A config from keywords.
 
         Raises:
-            ConfigError: if a name is not an option, or a value out of its range.
+            ConfigError: if a name is not an option, or a value of another type or out of its range.
         """
-        names = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in names:
-                raise unknown("option", name, names)
-        return cls(**options)
+        return build(cls, options, what="option")
 
     @property
     def per_knot(self) -> int:

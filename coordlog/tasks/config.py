@@ -5,8 +5,7 @@ The paper publishes none of them: every value here is our choice, and is written
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 from coordlog.errors import ConfigError, unknown
 
@@ -138,25 +137,3 @@ class RewardConfig:
                 f"reward n2 = {self.n2:g} is less than standing far away can cost ({standing:.1f} at γ = {gamma:g}): falling may pay"
             )
         return said
-
-
-def from_mapping(kind: type[Any], values: dict[str, Any]) -> Any:
-    """Build a config from a table of a file or a log; an unknown key is an error that lists the
-    choices.
-
-    Raises:
-        ConfigError: for an unknown key or a value out of range.
-    """
-    names = [item.name for item in fields(kind)]
-    for key in values:
-        if key not in names:
-            raise unknown(f"{kind.__name__} key", key, names)
-    return kind(**values)
-
-
-def to_mapping(config: EnvConfig | RewardConfig) -> dict[str, Any]:
-    """The config as JSON-able values; `from_mapping` is its inverse."""
-    return {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in asdict(config).items()
-    }

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from coordlog.config import change, parse_assignment, plain
 from coordlog.errors import ConfigError, StorageError, unknown
 from coordlog.train.config import (
     BehaviourConfig,
@@ -20,7 +21,6 @@ from coordlog.train.config import (
     NetworkConfig,
     NoiseConfig,
     ReplayConfig,
-    require,
 )
 
 BUDGET = (("loop", "updates"), ("loop", "steps"))
@@ -40,10 +40,7 @@ class Settings:
 
     def asdict(self) -> dict[str, dict[str, Any]]:
         """The settings as nested JSON-able dictionaries."""
-        return {
-            name: {key: _plain(value) for key, value in section.items()}
-            for name, section in asdict(self).items()
-        }
+        return {item.name: plain(getattr(self, item.name)) for item in fields(self)}
 
 
 PRESETS: dict[str, Settings] = {
@@ -87,29 +84,6 @@ PRESETS: dict[str, Settings] = {
 }
 
 
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _convert(key: str, value: object, current: object) -> object:
-    """A value from TOML as the type of the value it replaces."""
-    if isinstance(current, tuple):
-        whole = isinstance(value, list | tuple) and all(type(item) is int for item in value)
-        require(whole, key, "a list of whole numbers", value)
-        return tuple(value)  # type: ignore[arg-type]
-    if isinstance(current, float) and type(value) is int:
-        return float(value)
-    require(
-        type(value) is type(current),
-        key,
-        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[
-            type(current)
-        ],
-        value,
-    )
-    return value
-
-
 def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> Settings:
     """Settings with the values of `tables` ({section: {key: value}}) in place of theirs.
 
@@ -121,30 +95,8 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
     for name, table in tables.items():
         if name not in sections:
             raise unknown("section", name, sections)
-        require(isinstance(table, Mapping), name, "a table of keys", table)
-        known = {item.name: getattr(sections[name], item.name) for item in fields(sections[name])}
-        for key in table:
-            if key not in known:
-                raise unknown("setting", f"{name}.{key}", (f"{name}.{choice}" for choice in known))
-        sections[name] = replace(
-            sections[name],
-            **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()},
-        )
+        sections[name] = change(sections[name], table, prefix=f"{name}.", what="setting")
     return Settings(**sections)
-
-
-def parse_assignment(text: str) -> tuple[str, str, object]:
-    """Section, key and value of "section.key=value".
-
-    The value is read as TOML, and as plain text where that fails.
-    """
-    key, equals, value = text.partition("=")
-    section, dot, name = key.strip().partition(".")
-    require(bool(equals and dot and name), "--set", "section.key=value", text)
-    try:
-        return section, name, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return section, name, value.strip()
 
 
 def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]) -> None:
