@@ -20,26 +20,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Outcome
 from coordlog.episode import CONTACT, Array, Header, Json, Result
 from coordlog.errors import CoordlogError, StorageError
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.sampler import Problem
-from coordlog.sim.simulation import Outcome
 from coordlog.spec import FINAL, SCHEMA_VERSION, STEP
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = (
-    "reward",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-    "truncated",
-)
+LED_TO = tuple(item.name for item in STEP.fields[len(FINAL.fields) :] if item.name != "action")
 BRANCH = "branch"
 """The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512

@@ -11,15 +11,16 @@ import numpy as np
 import zstandard
 
 from coordlog.config import plain
+from coordlog.contracts import Outcome
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.mjcf import compile_model, compose, self_contained
 from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics
 from coordlog.sim.sampler import Branch, Draw, Problem
-from coordlog.sim.simulation import Outcome, Simulation
+from coordlog.sim.simulation import Simulation
 from coordlog.sim.task import Task
-from coordlog.spec import Layout
+from coordlog.spec import Field, Layout
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
@@ -92,6 +93,11 @@ class BatchEnv:
     def state(self) -> Array:
         """Present policy state of every simulation, (N, n_x) float32."""
         return self.simulation.state
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What the task logs of its own."""
+        return self.task.fields
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The problem of one episode (sim/sampler.py)."""
@@ -190,6 +196,7 @@ class BatchEnv:
             "robot": robot.to_json(),
             "config": plain(self.task.config),
             "reward": plain(self.task.reward),
+            "task": {"name": self.task.name},
             "joints": hinges(model),
             "actuators": [model.actuator(i).name for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],

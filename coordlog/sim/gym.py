@@ -15,12 +15,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, SpecError, unknown
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.render import Painter, view_of
 from coordlog.sim.sampler import SPLITS
-from coordlog.sim.simulation import Outcome
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach import reward as rules
 from coordlog.tasks.scene import Scene, find

@@ -17,26 +17,18 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
+from coordlog.contracts import Outcome
 from coordlog.episode import CONTACT, Array, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.simulation import Outcome, Simulation
+from coordlog.sim.simulation import Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import FINAL, STEP
 from coordlog.tasks.config import EnvConfig, RewardConfig
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = (
-    "reward",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-    "truncated",
-)
+LED_TO = tuple(item.name for item in STEP.fields[len(FINAL.fields) :] if item.name != "action")
 
 
 class Log(NamedTuple):

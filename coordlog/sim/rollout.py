@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.errors import SpecError
 from coordlog.sim.sampler import Problem
-from coordlog.sim.simulation import Outcome
 
 
 class Policy(Protocol):

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.sim.rollout import Env, Policy, rollout
-from coordlog.sim.simulation import Outcome
 
 NEAREST = 1e-4
 """e₁ + e₂ is clamped to this [m], so that a score stays finite."""

@@ -6,29 +6,13 @@ recorded.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.sim.physics import Physics
 from coordlog.sim.task import Task
 from coordlog.tasks.reach import reward
-
-
-class Outcome(NamedTuple):
-    """What one step led to, one row per simulation stepped."""
-
-    reward: Array  # (n, k)
-    distance: Array  # (n, k) m
-    boundary: Array  # (n, k) bool
-    goal: Array  # (n, k) bool
-    collision: Array  # (n,) bool
-    instability: Array  # (n,) bool
-    terminated: Array  # (n,) bool
-    truncated: Array  # (n,) bool
-    diverged: Array  # (n,) bool: the state is no number any more, and nothing above means anything
-    contacts: list[Array]  # CONTACT rows per simulation, step not yet filled in
 
 
 class Simulation:
@@ -110,9 +94,16 @@ class Simulation:
         terminated = reward.terminations(flags)
         truncated = ~terminated & (self.steps[ids] >= task.config.max_steps)
         earned = reward.rewards(distance, flags, task.reward)
-        return Outcome(
-            earned, distance, *flags, terminated, truncated, self.physics.diverged(ids), contacts
-        )
+        columns = {
+            "reward": earned,
+            "terminated": terminated,
+            "truncated": truncated,
+            "ctrl": self._target[ids],
+            "torque": self.physics.torque[ids],
+            "distance": distance,
+            **flags._asdict(),
+        }
+        return Outcome(columns, self.physics.diverged(ids), contacts)
 
     def _observe(self, ids: Array, sensors: Array) -> None:
         physics = self.physics

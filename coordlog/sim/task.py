@@ -17,6 +17,7 @@ from coordlog.errors import ConfigError, unknown
 from coordlog.kinematics import balance
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.reach.fields import FIELDS
 from coordlog.tasks.reach.observation import nearness, state_view
 from coordlog.tasks.scene import goal_body, link_sensor, palm_sensor, sole_corner, sphere_geom
 
@@ -26,6 +27,9 @@ class Task:
 
     Holds indices and constants, never a state.
     """
+
+    name = "reach"
+    fields = FIELDS
 
     def __init__(
         self, robot: Robot, model: mujoco.MjModel, config: EnvConfig, reward: RewardConfig
