@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, plot, record, recover, scenes, smooth, train, view
+from coordlog.commands import check, info, plot, record, recover, robot, scenes, smooth, train, view
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError, missing_extra
 from coordlog.version import __version__
@@ -35,6 +35,7 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("robot")(robot.robot)
 
 
 def _version(wanted: bool) -> None:

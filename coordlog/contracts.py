@@ -242,7 +242,8 @@ class Task(Protocol):
         self, rng: np.random.Generator, scene: Any, kinematics: Kinematics, angles: Array
     ) -> Sample | None:
         """Draw goals in a scene (`tasks.scene.Scene`) for an episode that starts at these joint
-        angles (n_u,); None where the draw is of no use and another is to be made."""
+        angles (n_u,); None where the draw is of no use and another is to be made.
+        """
         ...
 
 
@@ -311,7 +312,8 @@ class Checker(Protocol):
 
     def slack(self, qpos: Array) -> Array:
         """Least signed clearance of configurations (n, n_q), (n,) [m]; negative where something
-        touches that should not."""
+        touches that should not.
+        """
         ...
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
+from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.robots.robot import Robot
 from coordlog.tasks.scene import goal_body, sole_corner
 
@@ -134,7 +134,7 @@ class Geometry:
                 episode's.
         """
         robot = Robot.from_json(episode.header.env["robot"])
-        model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
+        model = load_attached(attachments)
         if model.nq != episode.qpos.shape[1]:
             raise FormatError(
                 f"the attached model: expected nq = {episode.qpos.shape[1]} as in the steps, got {model.nq}"

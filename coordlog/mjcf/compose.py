@@ -66,13 +66,21 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
     # A diverged state stays visible instead of jumping to zero.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     world.add_light(
-        name="sun", pos=(0.6, -0.6, 2), dir=(-0.3, 0.3, -1), castshadow=True, diffuse=(0.7, 0.7, 0.7)
+        name="sun",
+        pos=(0.6, -0.6, 2),
+        dir=(-0.3, 0.3, -1),
+        castshadow=True,
+        diffuse=(0.7, 0.7, 0.7),
     )
     camera = world.add_camera(name="front", pos=(1.25, -0.85, 0.95))
     camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
     camera.alt.xyaxes = (0.562, 0.827, 0, -0.30, 0.20, 0.93)
     if scene.robot.soles:
-        floor = {"size": (2, 2, 0.1), "rgba": (0.55, 0.58, 0.62, 1), "friction": (0.8, 0.005, 0.0001)}
+        floor = {
+            "size": (2, 2, 0.1),
+            "rgba": (0.55, 0.58, 0.62, 1),
+            "friction": (0.8, 0.005, 0.0001),
+        }
         world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, **floor, **solid)
     for panel in scene.panels:
         pos, size = _rounded(panel.centre), _rounded(panel.half)
@@ -202,10 +210,13 @@ def _base(spec: mujoco.MjSpec, robot: Robot) -> str:
 
 
 def _mark_own(spec: mujoco.MjSpec) -> None:
-    """Remember which geoms of the world are the robot's own, and no obstacles of the scene."""
+    """Give every geom a name, and remember which ones of the world are the robot's own, and no
+    obstacles of the scene.
+    """
+    for body in spec.bodies:
+        for i, geom in enumerate(body.geoms):
+            geom.name = geom.name or _free_name(spec.geom, f"geom {i} of {body.name or 'a body'}")
     own = list(spec.worldbody.geoms)
-    for i, geom in enumerate(own):
-        geom.name = geom.name or _free_name(spec.geom, f"own_{i}")
     if own:
         spec.add_tuple(
             name=ROBOT_IN_WORLD,
@@ -244,7 +255,9 @@ def _soles(spec: mujoco.MjSpec, robot: Robot) -> None:
         return
     for sole, places in corners(spec, robot).items():
         for i, place in enumerate(places):
-            spec.geom(sole).parent.add_site(name=sole_corner(sole, i), pos=_rounded(place), size=(0.002, 0, 0))
+            spec.geom(sole).parent.add_site(
+                name=sole_corner(sole, i), pos=_rounded(place), size=(0.002, 0, 0)
+            )
         spec.add_pair(
             geomname1="floor", geomname2=sole, condim=4, friction=(1, 1, 0.02, 0.0001, 0.0001)
         )

@@ -7,18 +7,19 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.robots.robot import Robot
 
 JOINT_DRIVES = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
-HINGE = mujoco.mjtJoint.mjJNT_HINGE
+SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
 LAGS = (
     int(mujoco.mjtDyn.mjDYN_NONE),
     int(mujoco.mjtDyn.mjDYN_FILTER),
     int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
 )
 """Dynamics after which an actuator's activation comes to rest at its control."""
+
 
 def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator is a position servo of one joint: force k (u - q) - …, u in the joint's
@@ -48,18 +49,38 @@ def actuator_label(model: mujoco.MjModel, actuator: int) -> str:
     return model.actuator(actuator).name or f"actuator {actuator}"
 
 
-def held_controls(model: mujoco.MjModel, qpos: np.ndarray, robot: Robot, pose: str) -> np.ndarray:
-    """What every actuator is given while the robot is held in a pose, (n_u,): servos their joints'
-    positions, all others the control of the keyframe of that name, or of the first there is, or 0.
+def held_controls(model: mujoco.MjModel, qpos: Array, robot: Robot, pose: str) -> Array:
+    """What every actuator is given while the robot is held in a pose, (n_c,): servos their joints'
+    positions, all others what the robot's spec says, else the control of the keyframe of that name
+    or of the first there is, else the control at which they do not pull.
     """
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, pose)
-    ctrl = model.key_ctrl[max(key, 0)].copy() if model.nkey else np.zeros(model.nu)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    ctrl = np.zeros(model.nu)
     for i in range(model.nu):
+        name = actuator_label(model, i)
         if is_servo(model, i):
             ctrl[i] = qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
+        elif name in robot.held:
+            ctrl[i] = robot.held[name]
+        elif model.nkey:
+            ctrl[i] = model.key_ctrl[max(key, 0), i]
         else:
-            ctrl[i] = robot.held.get(actuator_label(model, i), ctrl[i])
+            ctrl[i] = _idle(model, i, float(data.actuator_length[i]))
     return np.asarray(ctrl)
+
+
+def _idle(model: mujoco.MjModel, actuator: int, length: float) -> float:
+    """The control at which an actuator makes no force at rest, within its range; 0 for a motor."""
+    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+    if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE or not gain:
+        return 0.0
+    control = -(bias[0] + bias[1] * length) / gain
+    if model.actuator_ctrllimited[actuator]:
+        control = np.clip(control, *model.actuator_ctrlrange[actuator])
+    return float(control)
 
 
 def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
@@ -73,7 +94,8 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
     drives = [act for act in spec.actuators if int(act.trntype) in JOINT_DRIVES]
     for joint in spec.joints:
         own = [act for act in drives if act.target == joint.name]
-        if joint.type not in (HINGE, SLIDE) or any([_normalised(act) for act in own]):
+        served = sum(_normalised(act) for act in own)
+        if served or joint.type not in (HINGE, SLIDE):
             continue
         gains = robot.gains(joint.name)
         if gains is not None and (own or joint.name in robot.action_joints):
@@ -135,7 +157,7 @@ def _serve(
     motor.forcerange = [0.0, 0.0] if limit is None else limit
 
 
-def _force(motor: mujoco._specs.MjsActuator) -> np.ndarray | None:
+def _force(motor: mujoco._specs.MjsActuator) -> Array | None:
     """The range of a motor's force before its gear, None if it has none."""
     force, ctrl = np.array(motor.forcerange), np.array(motor.ctrlrange)
     if force[0] < force[1] and motor.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE:

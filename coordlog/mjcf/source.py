@@ -36,13 +36,22 @@ def spec_of(robot: Robot) -> tuple[mujoco.MjSpec, Mapping[str, bytes]]:
     Raises:
         ConfigError: naming everything that is missing or cannot be read.
     """
-    source = _whole(_Key(robot))
+    source = whole(robot)
     try:
         spec = mujoco.MjSpec.from_string(source.text)
     except ValueError as error:
         raise _refused(robot, error) from error
     spec.assets = dict(source.assets)
     return spec, source.assets
+
+
+def whole(robot: Robot) -> Source:
+    """The robot's model alone, with the files it needs.
+
+    Raises:
+        ConfigError: naming everything that is missing or cannot be read.
+    """
+    return _whole(_Key(robot))
 
 
 class _Key:
@@ -54,7 +63,11 @@ class _Key:
         if isinstance(robot.mjcf, Path) and robot.mjcf.is_file():
             stamp = (robot.mjcf.resolve(), robot.mjcf.stat().st_mtime_ns)
         assets = robot.assets
-        named = tuple(sorted((k, hash(v)) for k, v in assets.items())) if isinstance(assets, Mapping) else assets
+        named = (
+            tuple(sorted((k, hash(v)) for k, v in assets.items()))
+            if isinstance(assets, Mapping)
+            else assets
+        )
         self.identity = (robot.name, stamp, named)
 
     def __hash__(self) -> int:
@@ -68,9 +81,10 @@ class _Key:
 def _whole(key: _Key) -> Source:
     robot = key.robot
     spec = _read(robot)
-    if not len(spec.meshes) + len(spec.textures) + len(spec.hfields) + len(spec.skins):
-        if isinstance(robot.mjcf, str) and not _is_urdf(robot.mjcf) and "<include" not in robot.mjcf:
-            return Source(robot.mjcf)
+    named = sum(len(each) for each in (spec.meshes, spec.textures, spec.hfields, spec.skins))
+    text = robot.mjcf if isinstance(robot.mjcf, str) else ""
+    if text and not named and not _is_urdf(text) and "<include" not in text:
+        return Source(text)
     if len(spec.plugins):
         raise ConfigError(
             f"robot '{robot.name}': its model has a plugin, expected one that needs no library but MuJoCo: take the plugin out"
@@ -151,7 +165,10 @@ def _drop_pictures(spec: mujoco.MjSpec) -> list[Any]:
     return [
         geom
         for geom in spec.geoms
-        if geom.meshname and not geom.contype and not geom.conaffinity and geom.name not in (paired - {""})
+        if geom.meshname
+        and not geom.contype
+        and not geom.conaffinity
+        and geom.name not in (paired - {""})
     ]
 
 
@@ -187,7 +204,9 @@ def _files(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
                 continue
             data = _content(robot, name, folder)
             if data is None:
-                faults.append(f"{kind} '{thing.name}' reads {name}, which is not in {_where(robot)}")
+                faults.append(
+                    f"{kind} '{thing.name}' reads {name}, which is not in {_where(robot)}"
+                )
                 continue
             if not thing.name:
                 thing.name = Path(name).stem

@@ -80,6 +80,11 @@ def replay(logs: Sequence[Log], *, threads: int = 1) -> list[Trace]:
     return [traces[i] for i in range(len(logs))]
 
 
+def resting_of(header: Header) -> list[tuple[int, int]]:
+    """Pairs of geoms whose contacts are none in an episode."""
+    return [(int(one), int(other)) for one, other in header.env.get("resting", [])]
+
+
 def task_of(log: Log) -> Task:
     """The task a log was recorded in, rebuilt from its header and model."""
     env = log.header.env
@@ -93,7 +98,8 @@ def task_of(log: Log) -> Task:
 def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     """Replay logs of one environment, one simulation each."""
     task, n = task_of(logs[0]), len(logs)
-    physics = Physics(logs[0].model, n=n, threads=threads, models=[log.model for log in logs])
+    models, resting = [log.model for log in logs], resting_of(logs[0].header)
+    physics = Physics(logs[0].model, n=n, threads=threads, models=models, resting=resting)
     simulation = Simulation(task, physics, n=n)
     size = mujoco.mj_stateSize(logs[0].model, STATE)
     for i, log in enumerate(logs):

@@ -7,6 +7,8 @@ use disjoint random streams.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,9 +22,13 @@ from coordlog.tasks.scene import Box3, Scene
 
 SPLITS = {"train": 0, "test": 1}
 ATTEMPTS = 200
+"""Draws after which a scene is given up of which none has been feasible."""
+PATIENCE = 50
+"""This many times as many draws are made where others of the scene's have been feasible."""
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal
 beyond the palm's own size."""
+FEASIBLE = "feasible"
 PALM_RADIUS = 0.02
 MIDDLE = 0.35
 """Goals that are a random posture's palms: the share of every joint's range, around its middle,
@@ -61,7 +67,13 @@ class Draw:
     """Draws the problems of one scene; owns the kinematic model that verifies them."""
 
     def __init__(
-        self, scene: Scene, model: mujoco.MjModel, config: EnvConfig, *, standing: Array
+        self,
+        scene: Scene,
+        model: mujoco.MjModel,
+        config: EnvConfig,
+        *,
+        standing: Array,
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Copy what is needed to verify draws.
 
@@ -70,10 +82,18 @@ class Draw:
             model: The scene's compiled model.
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
+            resting: Pairs of geoms that lie against one another and never count as touching.
         """
-        self._scene, self._config = scene, config
+        self._scene, self._config, self._model = scene, config, model
+        self.tally: Counter[str] = Counter()
+        """How often a draw was feasible (FEASIBLE), and why the others were not."""
         self.reach = Reach(
-            scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing
+            scene.robot,
+            model,
+            margin=config.balance_margin,
+            tilt=config.tilt,
+            standing=standing,
+            resting=resting,
         )
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
@@ -86,15 +106,26 @@ class Draw:
         if split not in SPLITS:
             raise unknown("split", split, SPLITS)
         rng = np.random.default_rng([seed, SPLITS[split], index])
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS * PATIENCE):
+            if attempt >= ATTEMPTS and not self.tally[FEASIBLE]:
+                break
             angles = self._start(rng)
             spheres = self._spheres(rng)
             goals, centre = self._goals(rng)
-            if self._feasible(goals, spheres, angles):
+            why_not = self._infeasible(goals, spheres, angles)
+            self.tally[why_not or FEASIBLE] += 1
+            if not why_not:
                 return Problem(seed, split, index, goals, centre, spheres, angles)
         raise SimulationError(
-            f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})"
+            f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, episode {index}): {self.reasons()}"
         )
+
+    def reasons(self) -> str:
+        """Why draws have not been feasible, the commonest first."""
+        count = Counter({why: n for why, n in self.tally.items() if why != FEASIBLE})
+        total = sum(self.tally.values())
+        said = [f"{why} ({n} of {total})" for why, n in count.most_common(4)]
+        return "; ".join(said) or "all were feasible"
 
     def _start(self, rng: np.random.Generator) -> Array:
         noise = rng.uniform(-1.0, 1.0, len(self.reach.limits)) * self._config.start_noise
@@ -123,17 +154,23 @@ class Draw:
         sides = np.array([self._scene.palm_offset, -self._scene.palm_offset])
         return np.stack([centre + np.array([0.0, side, 0.0]) for side in sides]), centre
 
-    def _feasible(self, goals: Array, spheres: Array, angles: Array) -> bool:
+    def _infeasible(self, goals: Array, spheres: Array, angles: Array) -> str:
+        """Why a draw cannot be solved; empty if it can."""
         for sphere in spheres:
             if (
                 np.linalg.norm(goals - sphere[:3], axis=1) < sphere[3] + PALM_RADIUS + CLEARANCE
             ).any():
-                return False
+                return "a goal lies inside or beside a sphere"
         self.reach.place(spheres)
         if self.reach.touches(angles, clearance=CLEARANCE):
-            return False
+            one, other = (self._model.geom(geom).name or f"geom {geom}" for geom in self.reach.met)
+            return f"the start pose touches: {one} and {other}, or an obstacle is within {CLEARANCE * 100:g} cm of it"
         # Goals that were drawn as a posture's palms are reachable as drawn.
-        return self._scene.object_box is None or self.reach.solve(goals) is not None
+        if self._scene.object_box is None or self.reach.solve(goals) is not None:
+            return ""
+        if any(self.reach.descend(goals, seed) is not None for seed in self.reach.seeds):
+            return "the goals are reached by no posture that touches nothing and keeps its balance"
+        return "the goals are out of reach"
 
 
 def _inside(rng: np.random.Generator, box: Box3) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, unknown
 from coordlog.kinematics import balance
+from coordlog.mjcf.servos import require_servos
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.fields import FIELDS
@@ -42,7 +43,7 @@ class Task:
         self.robot, self.model, self.config, self.reward = robot, model, config, reward
         try:
             joints = [model.joint(name) for name in robot.action_joints]
-            servos = [model.actuator(name).id for name in robot.action_joints]
+            servos = require_servos(model, robot)
             self._goals = [int(model.body(goal_body(arm.name)).mocapid[0]) for arm in robot.arms]
             self._palms = self._sensors([palm_sensor(arm.name) for arm in robot.arms])
         except KeyError as error:

@@ -16,7 +16,7 @@ import numpy as np
 from coordlog.episode import CONTACT, Array
 from coordlog.errors import FormatError
 from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.replay import BEFORE, LED_TO, Log, task_of
+from coordlog.sim.replay import BEFORE, LED_TO, Log, resting_of, task_of
 from coordlog.sim.simulation import Simulation
 from coordlog.sim.task import Task
 
@@ -82,7 +82,8 @@ def run(log: Log, act: Callable[[int, Drive], Array], *, steps: int | None = Non
         FormatError: if the first state does not fit the model.
     """
     task = task_of(log)
-    physics = Physics(log.model, n=1, threads=1, models=[log.model])
+    resting = resting_of(log.header)
+    physics = Physics(log.model, n=1, threads=1, models=[log.model], resting=resting)
     simulation, ids = Simulation(task, physics, n=1), np.array([0])
     physics.rows[0] = _fitting(log)
     simulation.begin(ids, log.model.geom_size[task.sphere_geoms, 0][None])
