@@ -117,7 +117,7 @@ def _arms(
         common = [j for j in own if sum(j in other for other in chains) > 1]
         if common:
             notes.append(f"{', '.join(common)} move several palms but not all: strike them out")
-        arms.append(Arm(palm.strip("/").replace("/", "_"), palm, tuple(own)))
+        arms.append(Arm(palm if len(palms) > 1 else "arm", palm, tuple(own)))
     return tuple(arms), tuple(shared)
 
 
@@ -439,7 +439,7 @@ def as_card(robot: Robot, model: str, notes: Sequence[str] = ()) -> str:
         f"# {note}"
         for note in (
             "A robot for coordlog: edit what is wrong, then",
-            f"#   coordlog record --scene {robot.name}.toml",
+            f"  coordlog record --scene {robot.name}.toml",
             *notes,
         )
     ]
