@@ -24,6 +24,7 @@ from coordlog.commands import (
     query,
     record,
     recover,
+    robot,
     scenes,
     select,
     smooth,
@@ -58,6 +59,7 @@ app.command("select")(select.select)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)
+app.command("robot")(robot.robot)
 
 
 def _version(wanted: bool) -> None:

@@ -23,7 +23,7 @@ def record(
     scene: Annotated[
         str,
         typer.Option(
-            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table."
+            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
         ),
     ] = "",
     policy: Annotated[
@@ -100,6 +100,7 @@ def record(
     from coordlog.commands.branches import Branched, Parents
     from coordlog.policies.scripted import with_noise
     from coordlog.record.recorder import Recorder
+    from coordlog.sim.examine import scarce
     from coordlog.sim.rollout import rollout
     from coordlog.sim.scoring import Scoreboard
     from coordlog.tasks.scene import find
@@ -147,6 +148,8 @@ def record(
     summary = _summary(board, done, recorder, steps=steps, seconds=time.perf_counter() - began)
     summary["wanted"] = episodes
     _show(summary, out=out, as_json=as_json)
+    if seldom := scarce(env):
+        terminal.note(seldom)
     if interrupted:
         terminal.note(
             f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept"
