@@ -11,9 +11,16 @@ import numpy as np
 
 from coordlog.episode import Array, Result
 
+SPOILS = ("collision", "instability")
+"""Fields of a task that, once true, keep a success from being clean."""
+
 
 class Tally:
-    """What the result says about the steps, kept up block by block."""
+    """What the result says about the steps, kept up block by block.
+
+    Success is a step at which the task's field `goal` is true of every arm; a task that has no such
+    field knows no success.
+    """
 
     def __init__(self, k: int) -> None:
         self.length = 0
@@ -29,9 +36,10 @@ class Tally:
         """
         self.length += len(columns["reward"])
         self.returns = np.add.accumulate(np.vstack([self.returns, columns["reward"]]))[-1]
-        self.success = self.success or bool(columns["goal"].all(axis=1).any())
-        self.spoiled = self.spoiled or bool(
-            columns["collision"].any() or columns["instability"].any()
+        if "goal" in columns:
+            self.success = self.success or bool(columns["goal"].all(axis=1).any())
+        self.spoiled = self.spoiled or any(
+            bool(columns[name].any()) for name in SPOILS if name in columns
         )
         self.terminated, self.truncated = (
             bool(columns["terminated"][-1]),
