@@ -13,9 +13,20 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, plot, record, recover, scenes, smooth, train, view
+from coordlog.commands import (
+    check,
+    export,
+    info,
+    plot,
+    record,
+    recover,
+    scenes,
+    smooth,
+    train,
+    view,
+)
 from coordlog.commands.terminal import err
-from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
+from coordlog.errors import EXIT_INTERRUPTED, CoordlogError, missing_extra
 from coordlog.version import __version__
 
 app = typer.Typer(
@@ -35,6 +46,7 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("export")(export.export)
 
 
 def _version(wanted: bool) -> None:
@@ -59,6 +71,12 @@ def main() -> None:
     except CoordlogError as error:
         err.print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
         sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        missing = missing_extra(error)
+        if missing is None:
+            raise
+        err.print(Text.assemble(("error: ", "bold red"), str(missing)), soft_wrap=True)
+        sys.exit(missing.exit_code)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:  # the reader of our output has had enough

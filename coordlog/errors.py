@@ -56,6 +56,41 @@ class ViewerError(CoordlogError):
     """The viewer cannot start or does not answer; the message says what works instead."""
 
 
+EXTRA_OF = {
+    "gymnasium": "gym",
+    "torch": "train",
+    "safetensors": "train",
+    "duckdb": "train",
+    "rerun": "view",
+    "rerun_cli": "view",
+    "matplotlib": "view",
+    "PIL": "view",
+    "tensorboard": "tensorboard",
+    "rosbags": "exchange",
+    "h5py": "exchange",
+    "av": "exchange",
+    "pandas": "exchange",
+    "obstore": "cloud",
+    "ray": "cluster",
+}
+"""The extra of the package that brings an optional library, by the library's import name."""
+
+
+def missing_extra(error: ModuleNotFoundError) -> ConfigError | None:
+    """Error for an optional library that is not installed; None if it is none of ours.
+
+    Example:
+        >>> missing_extra(ModuleNotFoundError("no torch", name="torch"))
+        ConfigError("this needs torch, which is not installed: pip install 'coordlog[train]'")
+    """
+    library = (error.name or "").partition(".")[0]
+    if library not in EXTRA_OF:
+        return None
+    return ConfigError(
+        f"this needs {library}, which is not installed: pip install 'coordlog[{EXTRA_OF[library]}]'"
+    )
+
+
 def unknown(kind: str, got: str, choices: object) -> ConfigError:
     """Error for a name that is not among its choices; the message lists them."""
     names = ", ".join(sorted(str(choice) for choice in choices))  # type: ignore[attr-defined]

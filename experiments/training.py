@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.config import plain
+from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS
 
@@ -59,7 +60,7 @@ def command(run: dict[str, Any]) -> str:
 
 def around(env: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """What of an environment's constants, of a `coordlog.env` record, is not as usual."""
-    usual = {"env": to_mapping(EnvConfig()), "reward": to_mapping(RewardConfig())}
+    usual = {"env": plain(EnvConfig()), "reward": plain(RewardConfig())}
     said = {"env": env.get("config", {}), "reward": env.get("reward", {})}
     return {
         name: {key: value for key, value in said[name].items() if value != usual[name].get(key)}

@@ -125,13 +125,14 @@ def logged_rewards(
     constants: Json,
 ) -> Array:
     """The reward equation with the constants of a log, (T, k)."""
-    from coordlog.tasks.config import RewardConfig, from_mapping
+    from coordlog.config import build
+    from coordlog.tasks.config import RewardConfig
     from coordlog.tasks.reach.reward import Flags, rewards
 
     return rewards(
         distance,
         Flags(boundary, goal, collision, instability),
-        from_mapping(RewardConfig, constants),
+        build(RewardConfig, constants),
     )
 
 

@@ -62,6 +62,16 @@ def scene_of(name: str) -> Scene:
     return own
 
 
+def true_scene(env: Json) -> Json:
+    """A `coordlog.env` record without what made training easier: the scene as it is judged."""
+    from coordlog.tasks.config import TRAINING_ONLY
+
+    return {
+        **env,
+        "config": {key: value for key, value in env["config"].items() if key not in TRAINING_ONLY},
+    }
+
+
 def make_env(
     scene: Scene | str,
     tables: Mapping[str, Any],
@@ -72,7 +82,8 @@ def make_env(
     like: Json | None = None,
     doubts: bool = True,
 ) -> BatchEnv:
-    """The batched environment that the options describe; doubtful reward constants are said aloud.
+    """The batched environment that the options describe; doubtful reward constants of a
+    configuration are said aloud.
 
     Args:
         scene: What to simulate, or the name of one that ships.
@@ -87,19 +98,20 @@ def make_env(
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
+    from coordlog.config import build
     from coordlog.sim.env import BatchEnv
-    from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+    from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.scene import find
 
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
-    reward = from_mapping(RewardConfig, before["reward"] | tables.get("reward", {}))
+    reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
+    constants = build(EnvConfig, before["config"] | tables.get("env", {}))
     if doubts and "reward" in tables:
-        for doubt in reward.doubts():
+        for doubt in reward.doubts(steps=constants.max_steps):
             note(doubt)
-    constants = from_mapping(EnvConfig, before["config"] | tables.get("env", {}))
     return BatchEnv(
         find(scene) if isinstance(scene, str) else scene,
         constants,

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from coordlog.config import build
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.base_motion import Logged
@@ -24,7 +25,7 @@ from coordlog.kinematics.motion_bounds import bounds
 from coordlog.kinematics.support import FALLING, Footing
 from coordlog.mjcf import load_model
 from coordlog.robots.robot import Robot
-from coordlog.tasks.config import EnvConfig, from_mapping
+from coordlog.tasks.config import EnvConfig
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 NEAR = 0.08
@@ -125,7 +126,7 @@ class SceneChecker:
             )
         robot, config = (
             Robot.from_json(episode.header.env["robot"]),
-            from_mapping(EnvConfig, episode.header.env["config"]),
+            build(EnvConfig, episode.header.env["config"]),
         )
         return cls(model, robot, config, time=episode.time, qpos=episode.qpos, initial=initial)
 

@@ -8,3 +8,9 @@ finding check structure content       judging; damage and bitflip name what is b
 replaying                             and replaying simulates it again
 recover                               rescuing
 """
+
+from __future__ import annotations
+
+from coordlog.verbs import make_verb
+
+make_verb(__name__)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import zstandard
 
+from coordlog.config import plain
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.mjcf import compile_model, compose, self_contained
@@ -19,7 +20,7 @@ from coordlog.sim.sampler import Branch, Draw, Problem
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import Layout
-from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
@@ -76,7 +77,7 @@ class BatchEnv:
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = settled(scene.robot, model, start)
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, model, config, standing=standing)
+        self.draw = Draw(scene, model, config, standing=standing, start=start)
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -112,7 +113,7 @@ class BatchEnv:
                 physics.mocap_pos[sim, self._object] = problem.centre
             if task.n_spheres:
                 physics.mocap_pos[sim, task.sphere_mocaps] = problem.spheres[:, :3]
-        radii = np.array([problem.spheres[:, 3] for problem in problems])
+        radii = np.array([problem.spheres[:, 3] for problem in problems]) + task.config.inflate
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
         self.simulation.begin(ids, radii)
@@ -187,8 +188,8 @@ class BatchEnv:
             "mujoco_version": mujoco.__version__,
             "architecture": platform.machine(),
             "robot": robot.to_json(),
-            "config": to_mapping(self.task.config),
-            "reward": to_mapping(self.task.reward),
+            "config": plain(self.task.config),
+            "reward": plain(self.task.reward),
             "joints": hinges(model),
             "actuators": [model.actuator(i).name for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from coordlog.config import build
 from coordlog.episode import CONTACT, Array, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
@@ -23,7 +24,7 @@ from coordlog.sim.physics import STATE, Physics
 from coordlog.sim.simulation import Outcome, Simulation
 from coordlog.sim.task import Task
 from coordlog.spec import FINAL, STEP
-from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+from coordlog.tasks.config import EnvConfig, RewardConfig
 
 BEFORE = tuple(item.name for item in FINAL.fields[1:])
 LED_TO = (
@@ -91,8 +92,8 @@ def task_of(log: Log) -> Task:
     """The task a log was recorded in, rebuilt from its header and model."""
     env = log.header.env
     config, reward = (
-        from_mapping(EnvConfig, env["config"]),
-        from_mapping(RewardConfig, env["reward"]),
+        build(EnvConfig, env["config"]),
+        build(RewardConfig, env["reward"]),
     )
     return Task(Robot.from_json(env["robot"]), log.model, config, reward)
 

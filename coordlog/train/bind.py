@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from functools import partial
 
+from coordlog.config import build
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.robots.robot import Robot
-from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping
+from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.observation import StateView
 from coordlog.tasks.reach.reward import Flags, rewards
 from coordlog.train.relabel import GoalView, RewardFunction
@@ -44,7 +45,7 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         n_x=layout["n_x"],
         n_u=layout["n_u"],
         arms=env["arms"],
-        reward=reward_function(reward or from_mapping(RewardConfig, env["reward"])),
+        reward=reward_function(reward or build(RewardConfig, env["reward"])),
         farthest=FARTHEST * env["robot"]["reach"],
         view=goal_view(env),
         motion=motion(env),
@@ -60,7 +61,7 @@ def reward_function(constants: RewardConfig) -> RewardFunction:
 
 def goal_view(env: Json) -> GoalView:
     """Where palms and goals stand in the state of a `coordlog.env` record."""
-    view, config = StateView.from_json(env), from_mapping(EnvConfig, env["config"])
+    view, config = StateView.from_json(env), build(EnvConfig, env["config"])
     difference = view.places.get("difference")
     palms, goals = view.places["palms"], view.places["goals"]
     return GoalView(
@@ -76,14 +77,15 @@ def goal_view(env: Json) -> GoalView:
 
 def motion(env: Json) -> Motion:
     """How far an action moves the joints in one step of a `coordlog.env` record."""
-    view, config = StateView.from_json(env), from_mapping(EnvConfig, env["config"])
+    view, config = StateView.from_json(env), build(EnvConfig, env["config"])
     angles = view.places["angles"]
     speeds = Robot.from_json(env["robot"]).speeds(private=config.speed, shared=config.shared_speed)
     return Motion(angles, speeds * config.control_period / view.scale[angles])
 
 
 def require_alike(first: Json, other: Json, *, where: str) -> None:
-    """Refuse logs of another robot, state or action.
+    """Refuse logs of another robot, state, action or control period: the same action would mean
+    another motion.
 
     Raises:
         SpecError: naming what differs.
@@ -93,6 +95,11 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
             raise SpecError(
                 f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
             )
+    before, now = (env["config"]["control_period"] for env in (first, other))
+    if before != now:
+        raise SpecError(
+            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train on logs of one period at a time"
+        )
 
 
 def _rewards(

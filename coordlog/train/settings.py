@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from coordlog.config import change, parse_assignment, plain
 from coordlog.errors import ConfigError, StorageError, unknown
 from coordlog.train.config import (
     BehaviourConfig,
@@ -19,8 +20,8 @@ from coordlog.train.config import (
     LoopConfig,
     NetworkConfig,
     NoiseConfig,
+    PracticeConfig,
     ReplayConfig,
-    require,
 )
 
 BUDGET = (("loop", "updates"), ("loop", "steps"))
@@ -37,17 +38,34 @@ class Settings:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+    train: PracticeConfig = field(default_factory=PracticeConfig)
 
     def asdict(self) -> dict[str, dict[str, Any]]:
         """The settings as nested JSON-able dictionaries."""
-        return {
-            name: {key: _plain(value) for key, value in section.items()}
-            for name, section in asdict(self).items()
-        }
+        return {item.name: plain(getattr(self, item.name)) for item in fields(self)}
 
 
 PRESETS: dict[str, Settings] = {
     "default": Settings(),
+    # Live, from scratch, in any scene: actions that last long enough for a critic to see what they are worth, imitation that leaves room
+    # for what is learnt from values, and starts all over the place, so that the way around something is found from its end.
+    "live": Settings(
+        network=NetworkConfig(ascent="mean"),
+        behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),
+        noise=NoiseConfig(start=0.5, final=0.07, decay=0.5, correlation=0.7),
+        replay=ReplayConfig(
+            batch=128, warmup=3_000, hindsight=0.7, horizon=8, far=0.3, n_step=3, cut=True
+        ),
+        loop=LoopConfig(
+            updates=0,
+            steps=130_000,
+            updates_per_step=0.3,
+            final_rate=0.3,
+            evaluate_every=3_000,
+            checkpoint_every=3_000,
+        ),
+        train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
+    ),
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
     "paper": Settings(
         network=NetworkConfig(
@@ -86,28 +104,34 @@ PRESETS: dict[str, Settings] = {
     ),
 }
 
+AROUND: dict[str, dict[str, dict[str, Any]]] = {
+    # 8 decisions a second, the command filter and the length of an episode the same in seconds as at 25.
+    "live": {
+        "env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35},
+        "reward": {"n1": 5.0, "n2": 20.0},
+    },
+}
+"""What a preset asks of the environment and its reward, where no logs say otherwise."""
+UNSAID: dict[tuple[str, str], object] = {
+    (section, key): getattr(getattr(PRESETS["default"], section), key)
+    for section, keys in {
+        "network": ("ascent",),
+        "loop": ("final_rate",),
+        "behaviour": ("schedule",),
+        "replay": ("far", "cut"),
+        "train": ("start_line", "start_random", "start_solved", "inflate"),
+    }.items()
+    for key in keys
+}
+"""What a run did that was saved before these settings were."""
 
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
 
-
-def _convert(key: str, value: object, current: object) -> object:
-    """A value from TOML as the type of the value it replaces."""
-    if isinstance(current, tuple):
-        whole = isinstance(value, list | tuple) and all(type(item) is int for item in value)
-        require(whole, key, "a list of whole numbers", value)
-        return tuple(value)  # type: ignore[arg-type]
-    if isinstance(current, float) and type(value) is int:
-        return float(value)
-    require(
-        type(value) is type(current),
-        key,
-        {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[
-            type(current)
-        ],
-        value,
-    )
-    return value
+def surroundings(preset: str) -> dict[str, dict[str, Any]]:
+    """What a preset asks of the environment, as the entries "config" and "reward" of a
+    `coordlog.env` record.
+    """
+    around = AROUND.get(preset, {})
+    return {"config": dict(around.get("env", {})), "reward": dict(around.get("reward", {}))}
 
 
 def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> Settings:
@@ -121,30 +145,8 @@ def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> 
     for name, table in tables.items():
         if name not in sections:
             raise unknown("section", name, sections)
-        require(isinstance(table, Mapping), name, "a table of keys", table)
-        known = {item.name: getattr(sections[name], item.name) for item in fields(sections[name])}
-        for key in table:
-            if key not in known:
-                raise unknown("setting", f"{name}.{key}", (f"{name}.{choice}" for choice in known))
-        sections[name] = replace(
-            sections[name],
-            **{key: _convert(f"{name}.{key}", value, known[key]) for key, value in table.items()},
-        )
+        sections[name] = change(sections[name], table, prefix=f"{name}.", what="setting")
     return Settings(**sections)
-
-
-def parse_assignment(text: str) -> tuple[str, str, object]:
-    """Section, key and value of "section.key=value".
-
-    The value is read as TOML, and as plain text where that fails.
-    """
-    key, equals, value = text.partition("=")
-    section, dot, name = key.strip().partition(".")
-    require(bool(equals and dot and name), "--set", "section.key=value", text)
-    try:
-        return section, name, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return section, name, value.strip()
 
 
 def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]) -> None:
@@ -154,7 +156,7 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
     """
     for section, values in settings.asdict().items():
         for key, value in values.items():
-            before = saved.get(section, {}).get(key)
+            before = saved.get(section, {}).get(key, UNSAID.get((section, key)))
             if before != value and (section, key) not in BUDGET:
                 raise ConfigError(
                     f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 
 from coordlog.commands.policies import SHIPPED
-from coordlog.tasks.config import EnvConfig, RewardConfig, to_mapping
+from coordlog.config import plain
+from coordlog.tasks.config import EnvConfig, RewardConfig
 from experiments.training import around, command
 
 
@@ -34,7 +35,7 @@ def test_constants_of_the_environment_that_are_not_as_usual_are_part_of_the_comm
 
 
 def test_what_is_as_usual_is_not_said() -> None:
-    assert around({"config": to_mapping(EnvConfig()), "reward": to_mapping(RewardConfig())}) == {
+    assert around({"config": plain(EnvConfig()), "reward": plain(RewardConfig())}) == {
         "env": {},
         "reward": {},
     }

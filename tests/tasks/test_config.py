@@ -6,8 +6,9 @@ import math
 
 import pytest
 
+from coordlog.config import build, plain
 from coordlog.errors import ConfigError
-from coordlog.tasks.config import EnvConfig, RewardConfig, from_mapping, to_mapping
+from coordlog.tasks.config import EnvConfig, RewardConfig
 
 
 @pytest.mark.parametrize(
@@ -52,24 +53,24 @@ def test_the_control_period_is_a_whole_number_of_timesteps():
     "config", [EnvConfig(), EnvConfig(state_extras=("velocity",), speed=0.5), RewardConfig(kappa=7)]
 )
 def test_a_config_survives_json(config):
-    assert from_mapping(type(config), json.loads(json.dumps(to_mapping(config)))) == config
+    assert build(type(config), json.loads(json.dumps(plain(config)))) == config
 
 
 def test_an_unknown_key_lists_the_choices():
     with pytest.raises(
         ConfigError, match=r"unknown EnvConfig key 'sped'; choose one of: balance, .*speed"
     ):
-        from_mapping(EnvConfig, {"sped": 1.0})
+        build(EnvConfig, {"sped": 1.0})
     with pytest.raises(
         ConfigError,
         match="unknown RewardConfig key 'beta'; choose one of: alpha, kappa, m1, m2, n1, n2",
     ):
-        from_mapping(RewardConfig, {"beta": 1.0})
+        build(RewardConfig, {"beta": 1.0})
 
 
 def test_a_wrong_value_in_a_mapping_is_refused_as_anywhere():
     with pytest.raises(ConfigError, match="speed: expected a positive number"):
-        from_mapping(EnvConfig, {"speed": -1})
+        build(EnvConfig, {"speed": -1})
 
 
 def test_max_step_is_the_papers():
