@@ -212,6 +212,11 @@ def with_true_result(episode):
     )
 
 
+COLUMNS = ("time", "qpos", "qvel", "state", "action", "ctrl", "torque", "reward")
+COLUMNS += ("terminated", "truncated", "distance", "boundary", "goal", "collision")
+COLUMNS += ("instability", "contacts")
+
+
 def assert_same(a, b):
     """Every array equal bit for bit, header and result equal."""
     assert a.header == b.header
