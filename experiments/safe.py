@@ -18,12 +18,12 @@ import mujoco
 import numpy as np
 
 from coordlog.commands.smoothing import FASTER, fastest_of
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.avoidance import farthest
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
-from coordlog.sim.rollout import Policy
 from coordlog.sim.tracking import Drive, Run
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits

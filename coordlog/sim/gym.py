@@ -15,14 +15,15 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, SpecError, unknown
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.render import Painter, view_of
 from coordlog.sim.sampler import SPLITS
-from coordlog.sim.simulation import Outcome
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from coordlog.tasks.reach import reward as rules
+from coordlog.tasks.reach.reward import distances
+from coordlog.tasks.registry import follow
 from coordlog.tasks.scene import Scene, find
 
 OPTIONS = ("index", "split")
@@ -247,20 +248,16 @@ class GymEnv(gymnasium.Env[Observation, Array]):
                     "info: expected the one that step() returned, got one without 'collision' (HerReplayBuffer: copy_info_dict=True)"
                 )
         points = (*achieved.shape[:-1], -1, 3)
-        distance = rules.distances(achieved.reshape(points), desired.reshape(points))
+        distance = distances(achieved.reshape(points), desired.reshape(points))
         collision, instability, step = (
             np.array([item[name] for item in infos]).reshape(achieved.shape[:-1])
             for name in ("collision", "instability", "step")
         )
-        config = self._env.task.config
-        flags = rules.Flags(*rules.proximity(distance, config), collision, instability)
-        terminated = rules.terminations(flags)
-        truncated = ~terminated & (step >= config.max_steps)
-        return (
-            rules.rewards(distance, flags, self._env.task.reward).mean(axis=-1)[()],
-            terminated[()],
-            truncated[()],
-        )
+        measured = {"distance": distance, "collision": collision, "instability": instability}
+        found = follow(self._env.task.rules, measured)
+        terminated = found["terminated"]
+        truncated = ~terminated & (step >= self._env.task.config.max_steps)
+        return found["reward"].mean(axis=-1)[()], terminated[()], truncated[()]
 
 
 def _known_split(split: str) -> str:
