@@ -244,9 +244,14 @@ def definitions(data: bytes) -> bytes:
     return data[:end]
 
 
-def split(data: bytes, start: int) -> tuple[dict[int, list[bytes]], bytes]:
-    """The message records of an expanded chunk by channel, and the schemas and channels defined
-    between them; `start` is where the definitions at its start end.
+def split(data: bytes, start: int, defined: list[bytes] | None = None) -> dict[int, list[bytes]]:
+    """The message records of an expanded chunk by channel.
+
+    Args:
+        data: The chunk.
+        start: Where the definitions at its start end.
+        defined: Takes the schema and channel records between messages; without it there must be
+            none.
 
     Raises:
         FormatError: if anything else is in it, or the records do not fill the chunk exactly.
@@ -255,13 +260,12 @@ def split(data: bytes, start: int) -> tuple[dict[int, list[bytes]], bytes]:
     kinds: dict[
         bytes, tuple[list[bytes], int]
     ] = {}  # where records with this head go, and how long they are
-    defined: list[bytes] = []
     at, size = start, len(data)
     while at + _MESSAGE_HEAD.size <= size:
         head = data[at : at + _MESSAGE_HEAD.size]
         if head not in kinds:
             opcode, length, channel = _MESSAGE_HEAD.unpack(head)
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and defined is not None:
                 defined.append(data[at : at + RECORD_HEAD.size + length])
                 at += RECORD_HEAD.size + length
                 continue
@@ -273,7 +277,7 @@ def split(data: bytes, start: int) -> tuple[dict[int, list[bytes]], bytes]:
         at += length
     if at != size:
         raise FormatError(f"chunk: its records end at byte {at} of {size}")
-    return messages, b"".join(defined)
+    return messages
 
 
 def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:

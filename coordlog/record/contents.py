@@ -65,8 +65,9 @@ class Contents:
 
     def add_chunk(self, data: bytes) -> None:
         """Add all messages of an expanded chunk, and the channels that it defines."""
-        messages, between = split(data, self.define(data))
-        self.learn(between)
+        between: list[bytes] | None = None if self.own else []
+        messages = split(data, self.define(data), between)
+        self.learn(b"".join(between or ()))
         for channel, records in messages.items():
             self._add(channel, records)
 

@@ -80,7 +80,7 @@ class EpisodeWriter:
         if display and shown is None:
             shown = Shown.of(attachments)
         self._encoder = Encoder(header, display=display, shown=shown if display else None)
-        self._tally = Tally(header.layout.k)
+        self._tally = Tally(header)
         self._topics = topics(header)
         self._metadata = metadata
         self._attached = {

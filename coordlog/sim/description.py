@@ -16,17 +16,16 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import Array
+from coordlog.sim.inputs import place
 
 WORLD = "world"
-GRAIN = 2.0**-17
+GRAIN = 2.0**-12
 """Coordinates are rounded to this [m, and entries of quaternions]: what nobody sees does not
 compress."""
 _FIRST_HIDDEN = 3
 """MuJoCo's viewers hide geoms of this group and above."""
 _ENDLESS = 10.0
 """Side of a plane that has no end [m]."""
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_MOCAP = mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 
 
 class Description:
@@ -65,13 +64,11 @@ class Description:
             if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_SPHERE and model.geom(i).name
         }
         self._template = _urdf(model, self.links, self.parents, self._moves, set(self._spheres))
-        self._state_size = mujoco.mj_stateSize(model, _STATE)
-        before = sum(
-            mujoco.mj_stateSize(model, bit)
-            for bit in (1 << i for i in range(int(mujoco.mjtState.mjSTATE_MOCAP_POS).bit_length()))
-            if bit & int(_STATE) and bit < int(mujoco.mjtState.mjSTATE_MOCAP_POS)
+        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._mocap_at = slice(
+            place(model, mujoco.mjtState.mjSTATE_MOCAP_POS).start,
+            place(model, mujoco.mjtState.mjSTATE_MOCAP_QUAT).stop,
         )
-        self._mocap_at = slice(before, before + mujoco.mj_stateSize(model, _MOCAP))
 
     def urdf(self, radii: Mapping[str, float] | None = None) -> str:
         """The robot and its scene as URDF.

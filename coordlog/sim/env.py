@@ -13,7 +13,7 @@ import zstandard
 
 from coordlog.config import build, plain
 from coordlog.contracts import Branch, Outcome, Problem
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
+from coordlog.episode import INITIAL_STATE, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.mjcf import compile_model, compose, self_contained
 from coordlog.robots.robot import Robot
@@ -163,8 +163,8 @@ class BatchEnv:
         return self.simulation.step(action, ids)
 
     def attachments(self, sim: int) -> dict[str, bytes]:
-        """What a file needs so that it alone can be simulated again: one simulation's model as text
-        and as MJB, and its state.
+        """What a file needs so that it alone can be simulated again: one simulation's model as text,
+        and its state.
 
         Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the
         model the simulation runs on.
@@ -177,10 +177,7 @@ class BatchEnv:
         if not radii and self._packed:
             return self._packed
         text = compose(self.scene, self.task.config, radii) if radii else self.text
-        packed = {
-            MODEL_XML: _pack(text.encode()),
-            MODEL_MJB: _pack(binary(self.physics.model_of(sim))),
-        }
+        packed = {MODEL_XML: _pack(text.encode())}
         self._packed = packed
         return packed
 
@@ -194,6 +191,7 @@ class BatchEnv:
             n_x=len(self.task.view),
             n_u=len(self.task.servos),
             k=len(self.scene.robot.arms),
+            n_c=model.nu,
         )
 
     def describe(self) -> Json:
@@ -220,13 +218,6 @@ class BatchEnv:
 def default_config(scene: Scene) -> EnvConfig:
     """The environment's constants in a scene, where nobody says otherwise: its task's."""
     return build(EnvConfig, task_class(scene.task)[0].defaults)
-
-
-def binary(model: mujoco.MjModel) -> bytes:
-    """A compiled model as MJB."""
-    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()
 
 
 def _pack(content: bytes) -> bytes:

@@ -10,7 +10,9 @@ from dataclasses import asdict
 import numpy as np
 
 from coordlog.episode import KINDS, Array, Episode, Json
-from coordlog.record.tally import Tally
+from coordlog.record.tally import Tally, task_here
+from coordlog.spec import after, names
+from coordlog.tasks.registry import follow
 from coordlog.verify.finding import Problem
 
 Rewards = Callable[[Array, Array, Array, Array, Array, Json], Array]
@@ -29,6 +31,8 @@ def content(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
     if episode.header.task == "reach" and episode.has("distance"):
         yield from _flags(episode)
         yield from _rewards(episode, rewards)
+    else:
+        yield from _task(episode)
     yield from _endings(episode)
     yield from _contacts(episode)
     yield from _path(episode)
@@ -81,6 +85,16 @@ def _rewards(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
     yield from _first(
         "reward", rewards(episode.distance, *flags, episode.header.env["reward"]), episode.reward
     )
+
+
+def _task(episode: Episode) -> Iterator[Problem]:
+    """What the task makes of what was measured, where it is installed."""
+    task, own = task_here(episode.header), names(after(episode.header.task_fields))
+    if task is None or not all(map(episode.has, own)):
+        return
+    wanted = follow(task, {name: episode.columns[name] for name in own})
+    for name in (*own, "reward", "terminated"):
+        yield from _first(name, wanted[name], episode.columns[name])
 
 
 def _endings(episode: Episode) -> Iterator[Problem]:
@@ -151,7 +165,7 @@ def _path(episode: Episode) -> Iterator[Problem]:
 
 
 def _result(episode: Episode) -> Iterator[Problem]:
-    tally = Tally(episode.header.layout.k)
+    tally = Tally(episode.header)
     if len(episode):
         tally.add({name: values[: len(episode)] for name, values in episode.columns.items()})
     tally.add_states({"qpos": episode.qpos[-1:], "qvel": episode.qvel[-1:]})
