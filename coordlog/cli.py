@@ -16,6 +16,7 @@ from rich.text import Text
 from coordlog.commands import (
     check,
     export,
+    import_,
     info,
     plot,
     record,
@@ -47,6 +48,7 @@ app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
 app.command("export")(export.export)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:
