@@ -18,6 +18,7 @@ from coordlog.commands import (
     diff,
     export,
     index,
+    import_,
     info,
     pack,
     plot,
@@ -58,6 +59,7 @@ app.command("select")(select.select)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:
