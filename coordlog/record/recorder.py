@@ -27,19 +27,9 @@ from coordlog.record.writer import BLOCK, EpisodeWriter
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.sampler import Problem
 from coordlog.sim.simulation import Outcome
-from coordlog.spec import FINAL, SCHEMA_VERSION, STEP
+from coordlog.spec import SCHEMA_VERSION, STEP, after, before, names
 
-BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = (
-    "reward",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-    "truncated",
-)
+BEFORE, LED_TO = names(before(STEP.fields[1:])), names(after(STEP.fields))
 BRANCH = "branch"
 """The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512
