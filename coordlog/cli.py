@@ -13,7 +13,25 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, plot, record, recover, robot, scenes, smooth, train, view
+from coordlog.commands import (
+    check,
+    diff,
+    export,
+    import_,
+    index,
+    info,
+    pack,
+    plot,
+    query,
+    record,
+    recover,
+    robot,
+    scenes,
+    select,
+    smooth,
+    train,
+    view,
+)
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError, missing_extra
 from coordlog.version import __version__
@@ -36,6 +54,14 @@ app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
 app.command("robot")(robot.robot)
+app.command("export")(export.export)
+app.command("index")(index.index)
+app.command("query")(query.query)
+app.command("select")(select.select)
+app.command("diff")(diff.diff)
+app.command("pack")(pack.pack)
+app.command("unpack")(pack.unpack)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:

@@ -15,7 +15,7 @@ T steps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -105,6 +105,10 @@ class Outcome:
     """Whether the state is no number any more, (n,) bool; then no column means anything."""
     contacts: list[Array]
     """CONTACT rows per simulation, their step not yet filled in."""
+    success: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Whether the episode, if it ends here, has succeeded, (n,) bool; empty where no task says."""
+    clean: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Whether it has, and nothing went wrong at any step, (n,) bool."""
 
     def __getattr__(self, name: str) -> Array:
         """A column by its name.
@@ -179,7 +183,7 @@ class Task(Protocol):
         >>> task = ReachTask(EnvConfig(), RewardConfig())       # doctest: +SKIP
         >>> columns = task.measure(reading)                     # doctest: +SKIP
         >>> columns |= task.derive(columns)                     # doctest: +SKIP
-        >>> columns["reward"].shape                             # doctest: +SKIP
+        >>> task.reward(columns).shape                          # doctest: +SKIP
         (16, 2)
     """
 
@@ -222,12 +226,19 @@ class Task(Protocol):
         ...
 
     def derive(self, columns: Mapping[str, Array]) -> dict[str, Array]:
-        """All that follows from what was measured: `reward` (n, k), `terminated` (n,) and the rest
-        of its own columns.
+        """The rest of its own columns, from those that were measured.
 
-        The one definition of every flag, reward and ending: simulation, check, hindsight and
-        Gymnasium's `compute_reward` all come here.
+        The one definition of every flag, as `reward` and `ended` are of theirs: simulation, check,
+        hindsight and Gymnasium's `compute_reward` all come here (`tasks.registry.follow`).
         """
+        ...
+
+    def reward(self, columns: Mapping[str, Array]) -> Array:
+        """Rewards, (n, k), from its own columns."""
+        ...
+
+    def ended(self, columns: Mapping[str, Array]) -> Array:
+        """Steps that end the episode for good, (n,) bool, from its own columns."""
         ...
 
     def accomplished(self, columns: Mapping[str, Array]) -> Array:

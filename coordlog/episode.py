@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordlog.errors import SpecError
-from coordlog.spec import FINAL, STEP, Layout
+from coordlog.spec import FINAL, STEP, Field, Layout
 
 Array = NDArray[Any]
 Json = dict[str, Any]
@@ -66,6 +66,13 @@ class Header:
     def layout(self) -> Layout:
         """The lengths that give every field its shape."""
         return Layout(**self.env["layout"])
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Every field of a step but its index, the core's and the task's, in their order: the
+        columns that an episode with this header has. See `spec.before` and `spec.after`.
+        """
+        return STEP.fields[1:]
 
     @property
     def arms(self) -> tuple[str, ...]:

@@ -11,18 +11,28 @@ for one robot and task.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
+
+from coordlog.errors import SpecError
 
 SCHEMA_VERSION = 1
 """Raised whenever a message changes; a reader refuses versions it does not know."""
+
+When = Literal["before", "during", "after"]
+CORE = "core"
+"""Owner of the fields that every episode has."""
 
 
 class Field(NamedTuple):
     """One field of a message.
 
-    `type` is a ROS 2 primitive name; `size` is "" for a scalar or the symbol of a sequence's
-    length.
+    `type` is a ROS 2 primitive name. `size` is "" for a scalar, else the length of a sequence: a
+    symbol of `Layout`, a number, or a product of them ("3*k").
+
+    Example:
+        >>> Field("goals", "float64", "3*k", "m", "goal of each arm", when="before", owner="hold")
     """
 
     name: str
@@ -30,6 +40,31 @@ class Field(NamedTuple):
     size: str
     unit: str
     doc: str
+    when: When = "after"
+    """"before" the action (T + 1 rows: every step and the final state), "during" (the action itself,
+    T rows) or "after" it (T rows)."""
+    owner: str = CORE
+    """"core", or the name of the task that declares the field."""
+
+
+def before(fields: Iterable[Field]) -> tuple[Field, ...]:
+    """The fields that hold before the action, of which there is one more row than actions."""
+    return tuple(item for item in fields if item.when == "before")
+
+
+def after(fields: Iterable[Field]) -> tuple[Field, ...]:
+    """The fields that say what an action led to."""
+    return tuple(item for item in fields if item.when == "after")
+
+
+def owned(fields: Iterable[Field], owner: str) -> tuple[Field, ...]:
+    """The fields of one owner: "core", or a task's name."""
+    return tuple(item for item in fields if item.owner == owner)
+
+
+def names(fields: Iterable[Field]) -> tuple[str, ...]:
+    """The names of fields, in order."""
+    return tuple(item.name for item in fields)
 
 
 class Message(NamedTuple):
@@ -43,61 +78,83 @@ class Message(NamedTuple):
     fields: tuple[Field, ...]
 
 
+STEP_INDEX = Field("step", "int64", "", "", "control step, from 0", when="before")
+
+_BEFORE = (
+    Field(
+        "time",
+        "float64",
+        "",
+        "s",
+        "simulated time before the action, since the start of the episode",
+        when="before",
+    ),
+    Field("qpos", "float64", "n_q", "m, rad", "MuJoCo qpos before the action", when="before"),
+    Field("qvel", "float64", "n_v", "m/s, rad/s", "MuJoCo qvel before the action", when="before"),
+    Field(
+        "state",
+        "float32",
+        "n_x",
+        "",
+        "policy state before the action, scaled to about [-1, 1]",
+        when="before",
+    ),
+)
+_ACTION = Field(
+    "action", "float32", "n_u", "", "action that was executed, in [-1, 1]", when="during"
+)
+_REWARD = Field("reward", "float64", "k", "", "reward of each arm for this action")
+_TERMINATED = Field(
+    "terminated", "bool", "", "", "the task ended here: instability, or every goal reached"
+)
+_TRUNCATED = Field(
+    "truncated", "bool", "", "", "cut off from outside here: step limit; bootstrap through it"
+)
+
+REACH = (
+    Field(
+        "distance", "float64", "k", "m", "palm to goal of each arm after the action", owner="reach"
+    ),
+    Field(
+        "boundary",
+        "bool",
+        "k",
+        "",
+        "palm within the goal boundary after the action",
+        owner="reach",
+    ),
+    Field("goal", "bool", "k", "", "palm within the goal radius after the action", owner="reach"),
+    Field(
+        "collision",
+        "bool",
+        "",
+        "",
+        "any contact other than sole on floor, at any physics substep",
+        owner="reach",
+    ),
+    Field(
+        "instability",
+        "bool",
+        "",
+        "",
+        "centre of mass left the support polygon, or the torso tipped",
+        owner="reach",
+    ),
+)
+"""What the reach task logs of a step. Version 1 had these in `Step` itself."""
+
 STEP = Message(
     "coordlog_msgs/msg/Step",
     "/coordlog/step",
     "One control step: the state before the action, the action executed, and what it led to. Authoritative.",
-    (
-        Field("step", "int64", "", "", "control step, from 0"),
-        Field(
-            "time",
-            "float64",
-            "",
-            "s",
-            "simulated time before the action, since the start of the episode",
-        ),
-        Field("qpos", "float64", "n_q", "m, rad", "MuJoCo qpos before the action"),
-        Field("qvel", "float64", "n_v", "m/s, rad/s", "MuJoCo qvel before the action"),
-        Field(
-            "state", "float32", "n_x", "", "policy state before the action, scaled to about [-1, 1]"
-        ),
-        Field("action", "float32", "n_u", "", "action that was executed, in [-1, 1]"),
-        Field("reward", "float64", "k", "", "reward of each arm for this action"),
-        Field("distance", "float64", "k", "m", "palm to goal of each arm after the action"),
-        Field("boundary", "bool", "k", "", "palm within the goal boundary after the action"),
-        Field("goal", "bool", "k", "", "palm within the goal radius after the action"),
-        Field(
-            "collision",
-            "bool",
-            "",
-            "",
-            "any contact other than sole on floor, at any physics substep",
-        ),
-        Field(
-            "instability",
-            "bool",
-            "",
-            "",
-            "centre of mass left the support polygon, or the torso tipped",
-        ),
-        Field(
-            "terminated", "bool", "", "", "the task ended here: instability, or every goal reached"
-        ),
-        Field(
-            "truncated",
-            "bool",
-            "",
-            "",
-            "cut off from outside here: step limit; bootstrap through it",
-        ),
-    ),
+    (STEP_INDEX, *_BEFORE, _ACTION, _REWARD, *REACH, _TERMINATED, _TRUNCATED),
 )
 
 FINAL = Message(
     "coordlog_msgs/msg/Final",
     "/coordlog/final",
     "The state after the last action: N steps and one final state, never an action without its outcome.",
-    STEP.fields[:5],
+    (STEP_INDEX, *_BEFORE),
 )
 
 CONTACTS = Message(
@@ -178,8 +235,22 @@ class Layout:
         return self.n_u
 
     def width(self, field: Field) -> int | None:
-        """Length of a sequence field; None for a scalar."""
-        return None if field.size == "" else int(getattr(self, field.size))
+        """Length of a sequence field; None for a scalar.
+
+        Raises:
+            SpecError: if the field's size is neither a number nor a symbol of this class.
+        """
+        if field.size == "":
+            return None
+        width = 1
+        for factor in field.size.split("*"):
+            if not factor.isdecimal() and not hasattr(self, factor):
+                raise SpecError(
+                    f"field '{field.name}': expected as its length numbers or symbols of "
+                    f"{', '.join(vars(self))}, joined by *, got '{field.size}'"
+                )
+            width *= int(factor) if factor.isdecimal() else int(getattr(self, factor))
+        return width
 
     def shape(self, field: Field, n: int) -> tuple[int, ...]:
         """Shape of n values of a field, as an array with the step axis first."""

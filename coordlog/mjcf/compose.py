@@ -50,8 +50,9 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
 
     Args:
         scene: What to build.
-        config: Decides whether the zero-moment point's and the last links' sensors are needed.
-        radii: Radii of the spheres [m]; without them the scene's largest.
+        config: Decides whether the zero-moment point's and the last links' sensors are needed, and
+            how much larger panels are.
+        radii: Radii of the spheres as simulated [m]; without them the scene's largest.
 
     Raises:
         ConfigError: naming all that the robot's spec asks for and its model does not have.
@@ -84,7 +85,8 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
         }
         world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, **floor, **solid)
     for panel in scene.panels:
-        pos, size = _rounded(panel.centre), _rounded(panel.half)
+        half = [extent + config.inflate for extent in panel.half]
+        pos, size = _rounded(panel.centre), _rounded(half)
         box = {"type": BOX, "pos": pos, "size": size, "rgba": (0.62, 0.45, 0.30, 1)}
         world.add_geom(name=panel.name, **box, **solid)
     _goals(world, scene)

@@ -20,17 +20,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coordlog.contracts import Outcome
+from coordlog.contracts import Outcome, Problem
 from coordlog.episode import CONTACT, Array, Header, Json, Result
 from coordlog.errors import CoordlogError, StorageError
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.sampler import Problem
-from coordlog.spec import FINAL, SCHEMA_VERSION, STEP
+from coordlog.spec import SCHEMA_VERSION, STEP, after, before, names
 
-BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = tuple(item.name for item in STEP.fields[len(FINAL.fields) :] if item.name != "action")
+BEFORE, LED_TO = names(before(STEP.fields[1:])), names(after(STEP.fields))
 BRANCH = "branch"
 """The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from coordlog.config import plain
-from coordlog.contracts import Outcome
+from coordlog.config import build, plain
+from coordlog.contracts import Branch, Outcome, Problem
 from coordlog.episode import INITIAL_STATE, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.mjcf import actuator_label, compile_model, compose, pack_source, with_radii
 from coordlog.sim.physics import Physics
-from coordlog.sim.sampler import Branch, Draw, Problem
+from coordlog.sim.sampler import Draw
 from coordlog.sim.settling import faults, settle
 from coordlog.sim.simulation import Simulation
-from coordlog.sim.task import Task
+from coordlog.sim.task import BoundTask
 from coordlog.spec import Field, Layout
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.registry import make_task, task_class
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
@@ -45,6 +47,7 @@ class BatchEnv:
         n: int = 1,
         threads: int = 0,
         start: str = "stand",
+        task: Mapping[str, Any] | None = None,
     ) -> None:
         """Compile the scene and let the robot come to rest in its start pose.
 
@@ -55,19 +58,21 @@ class BatchEnv:
             n: Number of simulations.
             threads: Threads to step on; 0 for all cores.
             start: Name of the robot's start pose.
+            task: Constants of the scene's task that are its own, by name.
 
         Raises:
             ConfigError: for a pose, period or name that does not fit the robot's model, a file it
                 lacks, or a pose it does not hold.
             SimulationError: if it does not compile.
         """
-        config, reward = config or EnvConfig(), reward or RewardConfig()
+        config, reward = config or default_config(scene), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
         self.source = compose(scene, config)
         model = compile_model(self.source)
-        self.task = Task(scene.robot, model, config, reward)
+        rules = make_task(scene.task, config, reward, task)
+        self.task = BoundTask(rules, scene.robot, model, config, reward)
         rest = settle(scene.robot, model, start)
         wrong = faults(scene.robot, model, start, rest)
         if wrong:
@@ -79,7 +84,8 @@ class BatchEnv:
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, model, config, standing=standing, resting=self.resting)
+        at_rest = {"standing": standing, "resting": self.resting, "start": start}
+        self.draw = Draw(scene, rules, model, config, **at_rest)
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -99,6 +105,10 @@ class BatchEnv:
     def fields(self) -> tuple[Field, ...]:
         """What the task logs of its own."""
         return self.task.fields
+
+    def present(self, ids: Array) -> dict[str, Array]:
+        """Every field that holds before an action, the core's and the task's, (len(ids), …)."""
+        return self.simulation.present(ids)
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The problem of one episode (sim/sampler.py)."""
@@ -120,19 +130,19 @@ class BatchEnv:
                 physics.mocap_pos[sim, self._object] = problem.centre
             if task.n_spheres:
                 physics.mocap_pos[sim, task.sphere_mocaps] = problem.spheres[:, :3]
-        radii = np.array([problem.spheres[:, 3] for problem in problems])
+        radii = np.array([problem.spheres[:, 3] for problem in problems]) + task.config.inflate
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
-        self.simulation.begin(ids, radii)
+        self.simulation.begin(ids, radii, [problem.track for problem in problems])
         branched = [
-            (int(sim), problem.branch)
+            (int(sim), problem, problem.branch)
             for sim, problem in zip(ids, problems, strict=True)
             if problem.branch is not None
         ]
-        for sim, branch in branched:
-            self._follow(sim, branch)
+        for sim, problem, branch in branched:
+            self._follow(sim, problem, branch)
 
-    def _follow(self, sim: int, branch: Branch) -> None:
+    def _follow(self, sim: int, problem: Problem, branch: Branch) -> None:
         """Do what led to a branch, and begin there."""
         at = np.array([sim])
         for action in branch.actions:
@@ -144,7 +154,8 @@ class BatchEnv:
                 f"recorded (the state differs by {away:.2g}): expected the same environment and the same MuJoCo"
             )
         self.physics.rows[sim, 0] = 0.0  # time
-        self.simulation.begin(at, self.simulation.radii[at])
+        track = None if problem.track is None else problem.track[len(branch.actions) :]
+        self.simulation.begin(at, self.simulation.radii[at], [track])
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance simulations `ids` by one control period.
@@ -192,7 +203,7 @@ class BatchEnv:
             "robot": robot.to_json(),
             "config": plain(self.task.config),
             "reward": plain(self.task.reward),
-            "task": {"name": self.task.name},
+            "task": self.task.rules.to_json(),
             "joints": hinges(model),
             "actuators": [actuator_label(model, i) for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],
@@ -202,6 +213,11 @@ class BatchEnv:
             "layout": asdict(self.layout),
             **self.task.view.to_json(),
         }
+
+
+def default_config(scene: Scene) -> EnvConfig:
+    """The environment's constants in a scene, where nobody says otherwise: its task's."""
+    return build(EnvConfig, task_class(scene.task)[0].defaults)
 
 
 def hinges(model: mujoco.MjModel) -> list[Json]:
