@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from coordlog.errors import ConfigError, SpecError, unknown
 
 if TYPE_CHECKING:
+    from coordlog.contracts import Policy
     from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
-    from coordlog.sim.rollout import Policy
 
 SUFFIX = ".safetensors"
 FILES = ("best", "policy")
