@@ -84,8 +84,9 @@ class BatchEnv:
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
-        at_rest = {"standing": standing, "resting": self.resting, "start": start}
-        self.draw = Draw(scene, rules, model, config, **at_rest)
+        self.draw = Draw(
+            scene, rules, model, config, standing=standing, start=start, resting=self.resting
+        )
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -191,6 +192,7 @@ class BatchEnv:
             n_x=len(self.task.view),
             n_u=len(self.task.servos),
             k=len(self.scene.robot.arms),
+            n_c=model.nu,
         )
 
     def describe(self) -> Json:
