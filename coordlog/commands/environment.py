@@ -64,16 +64,6 @@ def scene_of(name: str) -> Scene:
     return own
 
 
-def true_scene(env: Json) -> Json:
-    """A `coordlog.env` record without what made training easier: the scene as it is judged."""
-    from coordlog.tasks.config import TRAINING_ONLY
-
-    return {
-        **env,
-        "config": {key: value for key, value in env["config"].items() if key not in TRAINING_ONLY},
-    }
-
-
 def _run(file: Path) -> dict[str, Any]:
     """Run a file of the user's as `python FILE.py` does: its own folder is where it imports from
     first.
@@ -88,6 +78,16 @@ def _run(file: Path) -> dict[str, Any]:
         ) from error
     finally:
         sys.path.remove(folder)
+
+
+def true_scene(env: Json) -> Json:
+    """A `coordlog.env` record without what made training easier: the scene as it is judged."""
+    from coordlog.tasks.config import TRAINING_ONLY
+
+    return {
+        **env,
+        "config": {key: value for key, value in env["config"].items() if key not in TRAINING_ONLY},
+    }
 
 
 def make_env(

@@ -78,7 +78,8 @@ def _card(
     model: Path, palms: list[str], *, name: str, out: Path | None, force: bool, quiet: bool
 ) -> Scene:
     """Understand a model, and print or write its card."""
-    from coordlog.sim.understand import as_card, understand
+    from coordlog.robots.card import as_card
+    from coordlog.sim.understand import understand
     from coordlog.tasks.scene import Scene
 
     found = understand(model, palms, name=name)

@@ -59,6 +59,7 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
         SimulationError: if MuJoCo refuses what was composed.
     """
     spec, assets = spec_of(scene.robot)
+    _name(spec)
     _fit(spec, scene)
     world = spec.worldbody
     base = _base(spec, scene.robot)
@@ -211,13 +212,15 @@ def _base(spec: mujoco.MjSpec, robot: Robot) -> str:
     return str(body.name)
 
 
-def _mark_own(spec: mujoco.MjSpec) -> None:
-    """Give every geom a name, and remember which ones of the world are the robot's own, and no
-    obstacles of the scene.
-    """
+def _name(spec: mujoco.MjSpec) -> None:
+    """Give every geom a name: what touches what is said by names."""
     for body in spec.bodies:
         for i, geom in enumerate(body.geoms):
             geom.name = geom.name or _free_name(spec.geom, f"geom {i} of {body.name or 'a body'}")
+
+
+def _mark_own(spec: mujoco.MjSpec) -> None:
+    """Remember which geoms of the world are the robot's own, and no obstacles of the scene."""
     own = list(spec.worldbody.geoms)
     if own:
         spec.add_tuple(

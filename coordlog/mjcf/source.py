@@ -92,31 +92,23 @@ def _whole(key: _Key) -> Source:
     spec.compiler.fusestatic = False  # a base that is fused into the world would be an obstacle
     spec.compiler.discardvisual = False
     visual = _drop_pictures(spec)
-    whole = any(not geom.parent.explicitinertial for geom in visual)
-    if not whole:
+    inferred = any(not geom.parent.explicitinertial for geom in visual)
+    if not inferred:
         _delete(spec, visual)
-    spec.assets = _files(spec, robot)
+    files = _files(spec, robot)
+    spec.assets = files
     try:
         model = spec.compile()
-    except ValueError as error:
-        raise _refused(robot, error) from error
-    if len(spec.meshes):
         _keep_inertia(spec, model)
-        hulls = _hulls(spec, model)
-        if whole:
+        if inferred:
             _delete(spec, visual)
-        used = {geom.meshname for geom in spec.geoms}
-        for mesh in list(spec.meshes):
-            if mesh.name not in used:
-                spec.delete(mesh)
-        kept = {mesh.file for mesh in spec.meshes}
-        spec.assets = {name: data for name, data in (spec.assets | hulls).items() if name in kept}
-    spec.assets = spec.assets | {}
-    try:
+        files |= _hulls(spec, model)
+        spec.assets = files
         spec.compile()
     except ValueError as error:
         raise _refused(robot, error) from error
-    return Source(printed(spec), dict(spec.assets))
+    kept = {thing.file for thing in (*spec.meshes, *spec.hfields)}
+    return Source(printed(spec), {name: data for name, data in files.items() if name in kept})
 
 
 def _read(robot: Robot) -> mujoco.MjSpec:
@@ -285,20 +277,18 @@ def _hulls(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, bytes]:
 
 
 def _hull(model: mujoco.MjModel, mesh: int) -> bytes:
-    """The convex hull of a compiled mesh in the frame of its file, as Wavefront OBJ.
+    """The corners of a compiled mesh's convex hull in the frame of its file, as Wavefront OBJ.
 
-    The layout of `mesh_graph` is MuJoCo's: counts, edge addresses, vertices, edges, faces.
+    MuJoCo's `mesh_graph` begins with the hull's numbers of vertices and faces; after one address
+    for each vertex come the vertices themselves. What they span is worked out again by whoever
+    compiles them.
     """
     graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
-    vertices, faces = int(graph[0]), int(graph[1])
-    ids = graph[2 + vertices : 2 + 2 * vertices]
-    start = 2 + 3 * vertices + 3 * faces
-    triangles = graph[start : start + 3 * faces].reshape(faces, 3)
-    places = model.mesh_vert[model.mesh_vertadr[mesh] + ids].astype(np.float64)
+    count = int(graph[0])
+    corners = model.mesh_vertadr[mesh] + graph[2 + count : 2 + 2 * count]
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])
-    places = places @ turn.reshape(3, 3).T + model.mesh_pos[mesh]
-    number = {int(vertex): i + 1 for i, vertex in enumerate(ids)}
-    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in places + 0.0]
-    lines += ["f " + " ".join(str(number[int(vertex)]) for vertex in face) for face in triangles]
-    return ("\n".join(lines) + "\n").encode()
+    places = model.mesh_vert[corners].astype(np.float64) @ turn.reshape(3, 3).T
+    return "".join(
+        f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in places + model.mesh_pos[mesh] + 0.0
+    ).encode()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,3 +122,65 @@ def _pair(value: Any, where: str) -> tuple[float, float]:
     if len(numbers) != 2 or len(value) != 2:
         raise ConfigError(f"card: expected two numbers as {where}, got {value!r}")
     return float(numbers[0]), float(numbers[1])
+
+
+def as_card(robot: Robot, model: str, notes: Sequence[str] = ()) -> str:
+    """A robot's spec as the text of a card.
+
+    Args:
+        robot: The spec.
+        model: Path of its model as the card is to name it.
+        notes: Said at its head.
+    """
+    lines = [
+        f"# {note}"
+        for note in (
+            "A robot for coordlog: edit what is wrong, then",
+            f"  coordlog record --scene {robot.name}.toml",
+            *notes,
+        )
+    ]
+    lines += ["", "[robot]", f"name = {_text(robot.name)}", f"model = {_text(model)}"]
+    lines += [
+        f"centre = {_list(robot.centre)}  # middle of the workspace [m]",
+        f"reach = {robot.reach!r}  # half its extent [m]",
+    ]
+    lines += [f"shared = {_list(robot.shared)}  # joints that move every arm"]
+    if robot.soles:
+        lines += [
+            f"soles = {_list(robot.soles)}  # geoms it stands on",
+            f"torso = {_text(robot.torso)}",
+        ]
+    if robot.excludes:
+        pairs = ", ".join(_list(pair) for pair in robot.excludes)
+        lines.append(f"excludes = [{pairs}]  # bodies that never collide")
+    for arm in robot.arms:
+        lines += [
+            "",
+            "[[arms]]",
+            f"name = {_text(arm.name)}",
+            f"palm = {_text(arm.palm)}  # a site, or a body",
+        ]
+        lines += [f"joints = {_list(arm.joints)}"]
+    for pose, angles in robot.poses.items():
+        lines += ["", f"[poses.{_key(pose)}]"] + [f"{_key(k)} = {v!r}" for k, v in angles.items()]
+    if robot.servo_gains:
+        lines += ["", "[servo_gains]  # kp, kv of joints that have a motor or no actuator"]
+        lines += [f"{_key(k)} = {_list(v)}" for k, v in robot.servo_gains.items()]
+    if robot.held:
+        lines += ["", "[held]  # control of what is no joint's servo"]
+        lines += [f"{_key(k)} = {v!r}" for k, v in robot.held.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: str) -> str:
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _key(value: str) -> str:
+    plain = value.replace("_", "").replace("-", "")
+    return value if plain.isascii() and plain.isalnum() else _text(value)
+
+
+def _list(values: Sequence[object]) -> str:
+    return "[" + ", ".join(_text(v) if isinstance(v, str) else repr(v) for v in values) + "]"

@@ -71,7 +71,7 @@ def examine(
         return Report(wrong, facts)
     try:
         env = BatchEnv(scene, config, n=1, threads=1, start=start)
-        facts += _drawn(env, draws) + [("speed", _speed(env))]
+        facts += [*_drawn(env, draws), ("speed", _speed(env))]
     except CoordlogError as error:
         wrong.append(str(error))
     return Report(wrong, facts)

@@ -26,10 +26,10 @@ ATTEMPTS = 200
 """Draws after which a scene is given up of which none has been feasible."""
 PATIENCE = 50
 """This many times as many draws are made where others of the scene's have been feasible."""
+FEASIBLE = "feasible"
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal
 beyond the palm's own size."""
-FEASIBLE = "feasible"
 PALM_RADIUS = 0.02
 POSTURES = 100
 """Random postures that are looked at before a start is left where it was."""

@@ -168,9 +168,8 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
     for joint in (int(joint) for joint in free if int(joint) in palms):
         at = int(model.jnt_qposadr[joint])
         sunk = float(rest.asked[at + 2] - qpos[at + 2])
-        turned = 2 * float(
-            np.arccos(min(1.0, abs(rest.asked[at + 3 : at + 7] @ qpos[at + 3 : at + 7])))
-        )
+        same = abs(float(rest.asked[at + 3 : at + 7] @ qpos[at + 3 : at + 7]))
+        turned = 2.0 * float(np.arccos(min(1.0, same)))
         if sunk > SUNK or turned > LEANT:
             return [
                 f"pose '{pose}' is not held: after {SETTLE_SECONDS:g} s the base is {sunk * 100:.0f} cm lower and has "

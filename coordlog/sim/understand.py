@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -133,8 +134,8 @@ def _guess(model: mujoco.MjModel, notes: list[str]) -> list[str]:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_kinematics(model, data)
     inner = {p for end in ends for p in _above(model, end)}
-    arms = []
-    for end in sorted(ends - inner):
+    arms: list[int] = []
+    for end in _merged(model, sorted(ends - inner)):
         joints = moving(model, end)
         free = any(model.jnt_type[j] == FREE for j in joints)
         root = int(model.body_rootid[end])
@@ -148,6 +149,20 @@ def _guess(model: mujoco.MjModel, notes: list[str]) -> list[str]:
     found = [_site(model, end) for end in arms]
     notes.append(f"palms guessed: {', '.join(found)}; name others with --palm")
     return found
+
+
+def _merged(model: mujoco.MjModel, ends: list[int]) -> list[int]:
+    """Ends that differ by a few joints only are fingers of one hand: where they branch is its
+    palm.
+    """
+    for one in ends:
+        for other in ends:
+            mine, theirs = set(chain(model, one)), set(chain(model, other))
+            own = max(len(mine - theirs), len(theirs - mine))
+            if one != other and own < ARM_JOINTS <= len(mine & theirs):
+                common = next(b for b in _above(model, one) if b in _above(model, other))
+                return _merged(model, sorted({common, *ends} - {one, other}))
+    return ends
 
 
 def _children(model: mujoco.MjModel, body: int) -> list[int]:
@@ -334,7 +349,7 @@ def _held(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> dict[str,
 
 def _feet(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, notes: list[str]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """What a robot on a free base stands on, and its torso."""
     palm = bearer(model, robot.arms[0].palm)
     if not any(model.jnt_type[j] == FREE for j in moving(model, palm)):
@@ -386,7 +401,7 @@ def _let_go(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
 
 def _workspace(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, notes: list[str]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Middle and half extent of where the palms get to, and bodies that always touch."""
     index, limits = _action(model, robot)
     rng, rest = np.random.default_rng(0), data.qpos.copy()
@@ -425,65 +440,3 @@ def _workspace(
         "reach": round(float((high - low).max() / 2), 3),
         "excludes": excludes,
     }
-
-
-def as_card(robot: Robot, model: str, notes: Sequence[str] = ()) -> str:
-    """A robot's spec as the text of a card.
-
-    Args:
-        robot: The spec.
-        model: Path of its model as the card is to name it.
-        notes: Said at its head.
-    """
-    lines = [
-        f"# {note}"
-        for note in (
-            "A robot for coordlog: edit what is wrong, then",
-            f"  coordlog record --scene {robot.name}.toml",
-            *notes,
-        )
-    ]
-    lines += ["", "[robot]", f"name = {_text(robot.name)}", f"model = {_text(model)}"]
-    lines += [
-        f"centre = {_list(robot.centre)}  # middle of the workspace [m]",
-        f"reach = {robot.reach!r}  # half its extent [m]",
-    ]
-    lines += [f"shared = {_list(robot.shared)}  # joints that move every arm"]
-    if robot.soles:
-        lines += [
-            f"soles = {_list(robot.soles)}  # geoms it stands on",
-            f"torso = {_text(robot.torso)}",
-        ]
-    if robot.excludes:
-        pairs = ", ".join(_list(pair) for pair in robot.excludes)
-        lines.append(f"excludes = [{pairs}]  # bodies that never collide")
-    for arm in robot.arms:
-        lines += [
-            "",
-            "[[arms]]",
-            f"name = {_text(arm.name)}",
-            f"palm = {_text(arm.palm)}  # a site, or a body",
-        ]
-        lines += [f"joints = {_list(arm.joints)}"]
-    for pose, angles in robot.poses.items():
-        lines += ["", f"[poses.{_key(pose)}]"] + [f"{_key(k)} = {v!r}" for k, v in angles.items()]
-    if robot.servo_gains:
-        lines += ["", "[servo_gains]  # kp, kv of joints that have a motor or no actuator"]
-        lines += [f"{_key(k)} = {_list(v)}" for k, v in robot.servo_gains.items()]
-    if robot.held:
-        lines += ["", "[held]  # control of what is no joint's servo"]
-        lines += [f"{_key(k)} = {v!r}" for k, v in robot.held.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _text(value: str) -> str:
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _key(value: str) -> str:
-    plain = value.replace("_", "").replace("-", "")
-    return value if plain.isascii() and plain.isalnum() else _text(value)
-
-
-def _list(values: Sequence[object]) -> str:
-    return "[" + ", ".join(_text(v) if isinstance(v, str) else repr(v) for v in values) + "]"

@@ -87,7 +87,7 @@ def test_a_robot_without_bodies_is_refused():
         "ghost", "<mujoco><worldbody/></mujoco>", (Arm("a", "p", ("j",)),), poses={"stand": {}}
     )
     with pytest.raises(
-        ConfigError, match="robot 'ghost': .*expected a body in its model, found none"
+        ConfigError, match=r"robot 'ghost': .*expected a body in its model, found none"
     ):
         compose(Scene("s", "", empty), EnvConfig())
 
