@@ -17,6 +17,7 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from numpy.lib.stride_tricks import sliding_window_view
 
 from coordlog.episode import Array
 from coordlog.errors import FormatError
@@ -58,6 +59,8 @@ def of_files(files: Sequence[Path], topic: str) -> Frames:
     merged: dict[int, list[tuple[Array, Array]]] = {}
     for places, data in rows:
         merged.setdefault(data.shape[1], []).append((places, data))
+    if len(rows) == 1:
+        return Frames(np.sort(whole), [(rank[rows[0][0]], rows[0][1])])
     groups = [
         (rank[np.concatenate([each[0] for each in parts])], np.concatenate([e[1] for e in parts]))
         for parts in merged.values()
@@ -101,12 +104,12 @@ def _indexed(file: Path, chunk: bytes, content: memoryview) -> _Part:
     offsets = entries["offset"].astype(np.int64)
     if len(offsets) and offsets.max() + _HEAD > len(data):
         raise FormatError(f"{file}: a message index points beyond its chunk")
-    heads = data[offsets[:, None] + np.arange(1, 9)]
+    heads = sliding_window_view(data, 8)[offsets + 1]
     sizes = np.ascontiguousarray(heads).view("<u8")[:, 0].astype(np.int64) - 22
     if len(sizes) and ((sizes < 0).any() or (offsets + _HEAD + sizes > len(data)).any()):
         raise FormatError(f"{file}: a message that is longer than its chunk")
     return entries["time"].astype(np.int64), [
-        (places, data[(offsets[places] + _HEAD)[:, None] + np.arange(size)])
+        (places, sliding_window_view(data, size)[offsets[places] + _HEAD])
         for size, places in _by_size(sizes)
     ]
 

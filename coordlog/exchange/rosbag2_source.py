@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
-from ruamel.yaml import YAML
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
@@ -56,7 +55,7 @@ def motions(path: Path, *, topic: str = "", stamps: str = "") -> Iterator[Motion
     with opened(path) as bag:
         connection = chosen(bag, path, topic)
         if connection.msgtype == JOINT_STATE:
-            yield _joint_states(path, connection.topic, stamps)
+            yield _joint_states(_files(bag, path), path, connection.topic, stamps)
             return
         raw = [(int(time), bytes(data)) for _, time, data in bag.messages([connection])]
         if connection.msgtype == TRAJECTORY:
@@ -122,9 +121,9 @@ def chosen(bag: Any, path: Path, topic: str) -> Connection:
     return found
 
 
-def _joint_states(path: Path, topic: str, clock: str) -> Motion:
+def _joint_states(files: list[Path], path: Path, topic: str, clock: str) -> Motion:
     """All joint states of a topic, decoded together."""
-    frames = of_files(_files(path), topic)
+    frames = of_files(files, topic)
     found = decode(frames, f"{path}: {topic}")
     stamps, said = chosen_clock(found.header, frames.times, clock)
     velocity = found.velocity
@@ -141,21 +140,20 @@ def _joint_states(path: Path, topic: str, clock: str) -> Motion:
     )
 
 
-def _files(path: Path) -> list[Path]:
-    """The storage files of a bag in order.
+def _files(bag: Any, path: Path) -> list[Path]:
+    """The storage files of an open bag in order; those that were compressed whole, unpacked.
 
     Raises:
-        FormatError: if messages or files are compressed in a way that only rosbags reads.
+        FormatError: if messages are compressed one by one.
     """
     if path.is_file():
         return [path]
-    text = YAML(typ="safe").load((path / "metadata.yaml").read_text("utf-8"))
-    about = text["rosbag2_bagfile_information"]
-    if about.get("compression_mode"):
+    reader = bag.readers[0]
+    if reader.metadata.compression_mode == "message":
         raise FormatError(
-            f"{path}: compressed by {about['compression_mode']}: `ros2 bag convert` it without first"
+            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
         )
-    return [path / Path(name).name for name in about["relative_file_paths"]]
+    return [Path(storage.path) for storage in reader.storages]
 
 
 def _dynamic(
