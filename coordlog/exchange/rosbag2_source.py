@@ -83,14 +83,16 @@ def opened(path: Path) -> Iterator[Any]:
         FormatError: if it is damaged, encrypted, or not a bag.
     """
     try:
-        with AnyReader([path], default_typestore=ros2()) as bag:
-            yield bag
-    except (FormatError, ConfigError):
-        raise
-    except (AnyReaderError, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
+        bag = AnyReader([path], default_typestore=ros2())
+        bag.open()
+    except Exception as error:  # rosbags lets errors of its decompressors and parsers through
         raise FormatError(f"{path}: {_said(error)}") from error
-    except Exception as error:
+    try:
+        yield bag
+    except (AnyReaderError, OSError) as error:
         raise FormatError(f"{path}: {_said(error)}") from error
+    finally:
+        bag.close()
 
 
 def chosen(bag: Any, path: Path, topic: str) -> Connection:
@@ -149,11 +151,11 @@ def _files(bag: Any, path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     reader = bag.readers[0]
-    if reader.metadata.compression_mode == "message":
+    if reader.compression_mode == "message":
         raise FormatError(
             f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
         )
-    return [Path(storage.path) for storage in reader.storages]
+    return [Path(storage.path) for storage in reader.storage.storages]
 
 
 def _dynamic(
