@@ -15,13 +15,18 @@ from rich.text import Text
 
 from coordlog.commands import (
     check,
+    diff,
     export,
     import_,
+    index,
     info,
+    pack,
     plot,
+    query,
     record,
     recover,
     scenes,
+    select,
     smooth,
     train,
     view,
@@ -48,6 +53,12 @@ app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
 app.command("export")(export.export)
+app.command("index")(index.index)
+app.command("query")(query.query)
+app.command("select")(select.select)
+app.command("diff")(diff.diff)
+app.command("pack")(pack.pack)
+app.command("unpack")(pack.unpack)
 app.command("import")(import_.import_)
 
 

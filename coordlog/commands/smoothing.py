@@ -124,7 +124,7 @@ def smooth_episode(
 
     checker = SceneChecker.of(episode, attachments)
     model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
-    log = Log(episode.header, model, np.frombuffer(attachments[INITIAL_STATE]), episode.action)
+    log = Log.of(episode, model, np.frombuffer(attachments[INITIAL_STATE]))
     task = task_of(log)
     angles = episode.qpos[:, task.qpos_index]
     ends = "natural" if settings["method"] == "paper" else "soft"

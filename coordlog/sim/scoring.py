@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Env, Outcome, Policy
 from coordlog.episode import Array
-from coordlog.sim.rollout import Env, Policy, rollout
-from coordlog.sim.simulation import Outcome
+from coordlog.sim.rollout import rollout
 
 NEAREST = 1e-4
 """e₁ + e₂ is clamped to this [m], so that a score stays finite."""
@@ -21,9 +22,9 @@ class Score(NamedTuple):
 
     length: int
     success: bool
-    """Every palm within its goal radius at the same step."""
+    """As the task means it (tasks/progress.py); reach: every palm at its goal at the same step."""
     clean: bool
-    """Success, with no collision and no instability in the whole episode."""
+    """Success, and nothing went wrong in the whole episode."""
     collided: bool
     fell: bool
     distance: tuple[float, ...]
@@ -44,6 +45,8 @@ class Scoreboard:
 
     def __init__(self, n: int, k: int) -> None:
         self.scores: list[Score] = []
+        self.touches: Counter[tuple[int, int]] = Counter()
+        """Pairs of geom ids that touched first in an episode, and in how many."""
         self._length = np.zeros(n, dtype=np.int64)
         self._collided = np.zeros(n, dtype=bool)
         self._arrival = np.full((n, k), -1)
@@ -54,18 +57,21 @@ class Scoreboard:
         arrived = (self._arrival[ids] < 0) & outcome.goal
         self._arrival[ids] = np.where(arrived, self._length[ids, None], self._arrival[ids])
         self._length[ids] += 1
+        for row in np.flatnonzero(outcome.collision & ~self._collided[ids]):
+            contacts = outcome.contacts[row]
+            first = contacts[contacts["substep"].argmin()]
+            self.touches[int(first["geom1"]), int(first["geom2"])] += 1
         self._collided[ids] |= outcome.collision
         for row in np.flatnonzero(outcome.terminated | outcome.truncated | outcome.diverged):
             self.scores.append(self._ended(int(ids[row]), outcome, int(row)))
 
     def _ended(self, slot: int, outcome: Outcome, row: int) -> Score:
         diverged, fell = bool(outcome.diverged[row]), bool(outcome.instability[row])
-        success = bool(outcome.goal[row].all()) and not diverged
         collided = bool(self._collided[slot])
         score = Score(
             length=int(self._length[slot]),
-            success=success,
-            clean=success and not collided and not fell,
+            success=bool(outcome.success[row]) and not diverged,
+            clean=bool(outcome.clean[row]) and not diverged,
             collided=collided,
             fell=fell,
             distance=tuple(outcome.distance[row].tolist()),
@@ -107,7 +113,14 @@ def evaluate(
     """Run a policy on the problems 0 … episodes - 1 of a seed and split, and score them, in the
     order they end.
     """
+    return judged(env, policy, episodes=episodes, k=k, seed=seed, split=split).scores
+
+
+def judged(
+    env: Env, policy: Policy, *, episodes: int, k: int, seed: int, split: str = "test"
+) -> Scoreboard:
+    """As `evaluate`, with what was touched first."""
     board = Scoreboard(env.n, k)
     for ids, outcome in rollout(env, policy, range(episodes), seed=seed, split=split):
         board.add(ids, outcome)
-    return board.scores
+    return board

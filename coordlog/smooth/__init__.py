@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from coordlog.verbs import make_verb
 
 if TYPE_CHECKING:
+    from coordlog.path import Path
     from coordlog.smooth.feasibility import (
         Checker,
         DistanceChecker,
@@ -18,18 +19,18 @@ if TYPE_CHECKING:
     from coordlog.smooth.limits import Limits
     from coordlog.smooth.result import Result, Violation
     from coordlog.smooth.smoother import smooth
-    from coordlog.smooth.spline import Spline, fit
+    from coordlog.smooth.spline import fit
 
 _HOME = {
-    "fit": "spline",
-    "smooth": "smoother",
-    "Limits": "limits",
-    "Result": "result",
-    "Spline": "spline",
-    "Violation": "result",
+    "fit": "smooth.spline",
+    "smooth": "smooth.smoother",
+    "Limits": "smooth.limits",
+    "Path": "path",
+    "Result": "smooth.result",
+    "Violation": "smooth.result",
 }
 _HOME |= dict.fromkeys(
-    ("Checker", "DistanceChecker", "MovingChecker", "Unobstructed", "Verdict"), "feasibility"
+    ("Checker", "DistanceChecker", "MovingChecker", "Unobstructed", "Verdict"), "smooth.feasibility"
 )
 
 __all__ = [
@@ -37,8 +38,8 @@ __all__ = [
     "DistanceChecker",
     "Limits",
     "MovingChecker",
+    "Path",
     "Result",
-    "Spline",
     "Unobstructed",
     "Verdict",
     "Violation",
@@ -51,7 +52,7 @@ def __getattr__(name: str) -> Any:
     """Load scipy only once something is used."""
     if name not in _HOME:
         raise AttributeError(f"module 'coordlog.smooth' has no attribute '{name}'")
-    return getattr(import_module(f"coordlog.smooth.{_HOME[name]}"), name)
+    return getattr(import_module(f"coordlog.{_HOME[name]}"), name)
 
 
 make_verb(__name__)

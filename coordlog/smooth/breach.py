@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats, Ints
+from coordlog.path import Floats, Ints
 
 
 class Kind(IntEnum):

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.feasibility import DistanceChecker
-from coordlog.smooth.spline import Spline
+from coordlog.smooth.times import spacing
 
 _WIDEST = 8  # knots in a stretch at first: far from everything a smooth path needs no more
 _FINEST = 1e-4  # knots: a path so close to trouble that an answer covers less than this counts as unproven
@@ -22,7 +22,7 @@ _SHORT = 16  # times the finest: only in stretches this short, for in longer one
 
 
 def certify(
-    spline: Spline, checker: DistanceChecker, clearance: float, *, allowed: Floats | None = None
+    spline: Path, checker: DistanceChecker, clearance: float, *, allowed: Floats | None = None
 ) -> Breaches:
     """Prove that every point of a path is free, or say where that fails.
 
@@ -39,7 +39,7 @@ def certify(
     fastest, last = _Fastest(spline), len(spline.time) - 1
     cut = np.arange(0, last, _WIDEST)
     start, stop = spline.time[cut], spline.time[np.minimum(cut + _WIDEST, last)]
-    finest = _FINEST * float(np.median(np.diff(spline.time)))
+    finest = _FINEST * spacing(spline.time)
     while len(start):
         middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
         slack = checker.slack(middle, spline(middle), clearance) + (
@@ -93,7 +93,7 @@ def _covered(
 class _Fastest:
     """Bounds on |q'_j| over any stretch of a spline."""
 
-    def __init__(self, spline: Spline) -> None:
+    def __init__(self, spline: Path) -> None:
         self._time = spline.time
         u, v = spline.velocity[:-1], spline.velocity[1:]
         middle = 3.0 * np.diff(spline.position, axis=0) / np.diff(spline.time)[:, None] - u - v

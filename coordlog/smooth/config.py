@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from coordlog.config import build
 from coordlog.errors import ConfigError, unknown
+from coordlog.path import Floats
 
 METHODS = ("local", "paper", "shared")
-ENDS = ("auto", "rest", "soft", "keep", "natural")
+ENDS = ("auto", "rest", "soft", "natural")
 
 
 @dataclass(frozen=True)
@@ -25,13 +28,14 @@ class Config:
 
     "max": half a period in the whole path, below which little is left to gain.
     """
-    max_deviation: float | None = None
-    """Largest distance of the path from any sample [rad]; None: as the rules allow."""
+    max_deviation: float | tuple[float, ...] | None = None
+    """Largest distance of the path from any sample, in the unit of each joint: one number for all,
+    or one for each. None: as the rules allow."""
     clearance: float = 0.0
     """Distance that bodies must keep [m]."""
     ends: str = "auto"
-    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), keep (the given end
-    velocities), natural (free, without bending). auto: natural for the paper's method, rest for the
+    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), natural (free, without
+    bending). auto: natural for the paper's method, rest for the
     others. The end points themselves are always exact."""
     dense: int | None = None
     """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all
@@ -59,9 +63,10 @@ class Config:
             raise ConfigError(
                 f"cutoff: expected 'max' or a frequency above 0 Hz, got {self.cutoff!r}"
             )
-        if self.max_deviation is not None and not self.max_deviation > 0.0:
+        if self.max_deviation is not None and not (np.asarray(self.max_deviation) > 0.0).all():
             raise ConfigError(
-                f"max_deviation: expected an angle above 0 rad, got {self.max_deviation!r}"
+                "max_deviation: expected distances above 0 in the unit of each joint, "
+                f"got {self.max_deviation!r}"
             )
         if not 0.0 <= self.clearance < float("inf"):
             raise ConfigError(
@@ -79,7 +84,21 @@ class Config:
         Raises:
             ConfigError: if a name is not an option, or a value of another type or out of its range.
         """
+        farthest = options.get("max_deviation")
+        if isinstance(farthest, np.ndarray):
+            options["max_deviation"] = farthest.tolist()
         return build(cls, options, what="option")
+
+    def farthest(self, n_j: int) -> Floats:
+        """`max_deviation` of each joint, (n_j,), infinite where there is none.
+
+        Raises:
+            ConfigError: if there is neither one nor n_j of them.
+        """
+        wanted = np.asarray(np.inf if self.max_deviation is None else self.max_deviation, float)
+        if wanted.shape not in ((), (n_j,)):
+            raise ConfigError(f"max_deviation: expected one number or {n_j}, got {np.size(wanted)}")
+        return np.broadcast_to(wanted, (n_j,))
 
     @property
     def per_knot(self) -> int:
@@ -89,6 +108,4 @@ class Config:
     @property
     def clamped(self) -> bool:
         """Whether the slopes at the ends are fixed."""
-        return self.ends in ("rest", "soft", "keep") or (
-            self.ends == "auto" and self.method != "paper"
-        )
+        return self.ends in ("rest", "soft") or (self.ends == "auto" and self.method != "paper")

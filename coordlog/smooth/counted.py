@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from coordlog.errors import SpecError
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.feasibility import Checker, DistanceChecker, MovingChecker, Verdict
-from coordlog.smooth.spline import Spline
 
 
 class BudgetSpentError(Exception):
@@ -56,7 +55,7 @@ class Counted:
         assert self._distances is not None
         return self._distances.drift(start, stop)
 
-    def moving(self, path: Spline) -> Breaches:
+    def moving(self, path: Path) -> Breaches:
         """Ask `MovingChecker.moving` at the knots of a path; nothing where the checker has no such
         rule.
 

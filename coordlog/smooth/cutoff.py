@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats
 
 
 def lam_from_p(p: ArrayLike, dt: float) -> Floats:

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.config import Config
-from coordlog.smooth.spline import Grid, Spline
+from coordlog.smooth.spline import Grid
+from coordlog.smooth.times import spacing
 
 EASE = 15
 """Knots over which an end is eased while a path is searched for.
@@ -45,7 +46,7 @@ class EasedGrid(Grid):
         over so many knots.
         """
         span, left = float(time[-1] - time[0]), time - time[0]
-        width = min(span / 2.0, ease * float(np.median(np.diff(time))))
+        width = min(span / 2.0, ease * spacing(time))
         u = np.clip(np.minimum(left, span - left) / width, 0.0, 1.0)
         # The integral of √(v (2 - v)) from 0 to u, π/4 at u = 1; beyond it the two times run alike.
         passed = width * (
@@ -59,14 +60,14 @@ class EasedGrid(Grid):
 
     def fit(
         self, value: Floats, *, lam: float, weight: Floats, velocity: Floats | None = None
-    ) -> Spline:
+    ) -> Path:
         """As `Grid.fit`; slopes given for the ends must be zero."""
         found = super().fit(value, lam=lam, weight=weight, velocity=velocity)
-        return Spline(self._clock, found.position, found.velocity * self._rate)
+        return Path(self._clock, found.position, found.velocity * self._rate)
 
     def fit_each(
         self, value: Floats, *, lam: Floats, weight: Floats, velocity: Floats | None = None
-    ) -> Spline:
+    ) -> Path:
         """As `Grid.fit_each`."""
         found = super().fit_each(value, lam=lam, weight=weight, velocity=velocity)
-        return Spline(self._clock, found.position, found.velocity)
+        return Path(self._clock, found.position, found.velocity)

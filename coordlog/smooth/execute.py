@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array, Episode
+from coordlog.path import Path
 from coordlog.sim.replay import Log, task_of
 from coordlog.sim.tracking import Drive, Run, run, targets
 from coordlog.smooth.ease import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
 from coordlog.smooth.result import KEPT_RAW, RAW_INFEASIBLE, Result
-from coordlog.smooth.spline import Spline
 
 DEEPER = 1e-4
 """Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the
@@ -151,7 +151,7 @@ def worse(ran: Run, episode: Episode) -> str:
     return ""
 
 
-def _lead(result: Result, time: Array, ahead: Array) -> Spline:
+def _lead(result: Result, time: Array, ahead: Array) -> Path:
     """How far the targets are ahead of the angles, (T + 1, n_u) at `time`, smoothed as the path
     was.
     """
@@ -163,7 +163,7 @@ def _lead(result: Result, time: Array, ahead: Array) -> Spline:
     )
 
 
-def _away(ran: Run, path: Spline, places: Array) -> float:
+def _away(ran: Run, path: Path, places: Array) -> float:
     time = ran.columns["time"]
     return float(
         np.abs(

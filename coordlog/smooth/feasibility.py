@@ -28,7 +28,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from coordlog.smooth.arrays import Bools, Floats, Ints
+from coordlog.path import Bools, Floats, Ints
 
 
 class Verdict(NamedTuple):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.errors import ConfigError
-from coordlog.smooth.arrays import Bools, Floats, Ints
+from coordlog.path import Bools, Floats, Ints, Path
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.certificate import certify
 from coordlog.smooth.config import Config
@@ -22,7 +22,6 @@ from coordlog.smooth.knots import Knots
 from coordlog.smooth.limits import Limits, limit_breaches
 from coordlog.smooth.raw import Raw
 from coordlog.smooth.samples import Samples
-from coordlog.smooth.spline import Spline
 
 _COARSE = 2  # levels of samples that are looked at before the certificate: every fourth knot
 
@@ -43,7 +42,7 @@ class Judge:
     """All rules of one problem."""
 
     def __init__(
-        self, checker: Checker, knots: Knots, raw: Spline, *, limits: Limits, config: Config
+        self, checker: Checker, knots: Knots, raw: Path, *, limits: Limits, config: Config
     ) -> None:
         """Prepare to judge candidates over the same knots as the raw path.
 
@@ -61,13 +60,14 @@ class Judge:
         self._pace = limits.paces(knots.position.shape[1])
         self.samples = Samples(knots.time, config.per_knot)
         self._knots, self._config = knots, config
+        self._farthest = config.farthest(knots.position.shape[1])
         self.raw = Raw(
             raw, self.asked, self.samples, clearance=config.clearance, widths=self.widths
         )
         self.failed = NONE
         """Why the last candidate that was ruled out was ruled out."""
 
-    def prove(self, spline: Spline, *, hot: Ints | None = None, lenient: bool = False) -> Proof:
+    def prove(self, spline: Path, *, hot: Ints | None = None, lenient: bool = False) -> Proof:
         """Judge a candidate, up to the first look that finds a breach without excuse.
 
         Args:
@@ -78,7 +78,7 @@ class Judge:
         proof = self.sampled(spline, hot=hot, lenient=lenient)
         return proof if len(proof.found) else self.between(spline, proof, lenient=lenient)
 
-    def early(self, spline: Spline, *, hot: Ints | None = None, lenient: bool = False) -> Proof:
+    def early(self, spline: Path, *, hot: Ints | None = None, lenient: bool = False) -> Proof:
         """As `prove`, but the certificate is asked as soon as the hot samples and the coarse ones
         find nothing.
 
@@ -96,7 +96,7 @@ class Judge:
             return proof
         return self.prove(spline, hot=hot, lenient=lenient)
 
-    def between(self, spline: Spline, proof: Proof, *, lenient: bool) -> Proof:
+    def between(self, spline: Path, proof: Proof, *, lenient: bool) -> Proof:
         """Finish what `sampled` began: the certificate, and rules about motion."""
         proof = self._noted(
             self._between(
@@ -111,7 +111,7 @@ class Judge:
             return self._noted(Proof(look[~excuse], proof.excused, certified=False))
         return proof._replace(excused=proof.excused + look)
 
-    def sampled(self, spline: Spline, *, hot: Ints | None, lenient: bool) -> Proof:
+    def sampled(self, spline: Path, *, hot: Ints | None, lenient: bool) -> Proof:
         """As `prove`, but for the certificate: not yet a proof of what lies between the samples."""
         return self._noted(self._sampled(spline, hot, lenient, self.samples.levels))
 
@@ -120,9 +120,7 @@ class Judge:
             self.failed = proof.found
         return proof
 
-    def _sampled(
-        self, spline: Spline, hot: Ints | None, lenient: bool, levels: list[Ints]
-    ) -> Proof:
+    def _sampled(self, spline: Path, hot: Ints | None, lenient: bool, levels: list[Ints]) -> Proof:
         excused = self.raw.ends
         for look in self._looks(spline, [*([] if hot is None else [hot]), *levels]):
             excuse = self.raw.excuses(look, lenient=lenient)
@@ -138,21 +136,21 @@ class Judge:
             excused = excused + look
         return Proof(NONE, excused, certified=False)
 
-    def _every(self, spline: Spline, time: Floats) -> Breaches:
+    def _every(self, spline: Path, time: Floats) -> Breaches:
         return self.asked.every(time, spline(time), self._config.clearance)
 
-    def outpaces(self, spline: Spline) -> bool:
+    def outpaces(self, spline: Path) -> bool:
         """Whether a joint is faster than `Limits.pace`."""
         return len(limit_breaches(spline, (*self.widths[:2], self._pace, self.widths[3]))) > 0
 
-    def collides(self, spline: Spline, found: Breaches) -> bool:
+    def collides(self, spline: Path, found: Breaches) -> bool:
         """Whether a contact found is more than being closer than the clearance."""
         time = found.time[found.kind == Kind.CONTACT]
         if not len(time) or self._config.clearance == 0.0:
             return len(time) > 0
         return not self.asked.check(time, spline(time), 0.0).free.all()
 
-    def survey(self, spline: Spline) -> Proof:
+    def survey(self, spline: Path) -> Proof:
         """Judge a path by all rules at all samples, whatever is found."""
         found = self.raw.ends
         for look in self._looks(spline, self.samples.levels):
@@ -162,7 +160,7 @@ class Judge:
         return Proof(proof.excused + proof.found, NONE, proof.certified)
 
     def _between(
-        self, spline: Spline, known: Breaches, excuses: Callable[[Breaches], Bools]
+        self, spline: Path, known: Breaches, excuses: Callable[[Breaches], Bools]
     ) -> Proof:
         """Certify a path of which these breaches are known.
 
@@ -183,7 +181,7 @@ class Judge:
             known = known + found  # another pair each time, or a collision: this ends
         return Proof(NONE, known, certified=False)
 
-    def _looks(self, spline: Spline, levels: list[Ints]) -> Iterator[Breaches]:
+    def _looks(self, spline: Path, levels: list[Ints]) -> Iterator[Breaches]:
         """Look after look, each at something new."""
         yield limit_breaches(spline, self.widths) + self._deviation(spline)
         fresh = np.ones(len(self.samples.time), bool)
@@ -194,10 +192,11 @@ class Judge:
                 time = self.samples.time[index]
                 yield self.asked.worst(time, self.samples(spline, index), self._config.clearance)
 
-    def _deviation(self, spline: Spline) -> Breaches:
+    def _deviation(self, spline: Path) -> Breaches:
         if self._config.max_deviation is None:
             return NONE
-        away = abs(spline.position - self._knots.position)
-        over = away.max(axis=1) - self._config.max_deviation
-        bad = over > 0.0
-        return breaches(Kind.DEVIATION, self._knots.time[bad], over[bad], away.argmax(axis=1)[bad])
+        over = self._knots.away(spline) - self._farthest  # NaN, where a joint has no sample
+        over = np.where(over > 0.0, over, 0.0)
+        bad = over.any(axis=1)
+        what = (over / self._farthest).argmax(axis=1)[bad]
+        return breaches(Kind.DEVIATION, self._knots.sample_time[bad], over[bad, what], what)

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coordlog.errors import SpecError
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
-from coordlog.smooth.spline import Spline
+
+_TOLERANCE = 1e-3  # rad or m
+_SHARE = 1e-2  # of the range
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +34,9 @@ class Limits:
     """Largest |q''| [rad/s²]."""
     pace: ArrayLike | None = None
     """Largest |q'| [rad/s] that longer soft ends may ask for; None: as far as `speed` goes."""
-    tolerance: float = 1e-3
-    """Overshoot of the range [rad] that is let pass: joint stops of a simulator are soft, and logs
-    ride them."""
+    tolerance: ArrayLike | None = None
+    """Overshoot of the range that is let pass: joint stops of a simulator are soft, and logs ride
+    them. None: a hundredth of each joint's range, at most 1e-3 (rad, m)."""
 
     def widths(self, n_j: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Lower, upper (tolerance included), speed and acceleration as arrays of shape (n_j,),
@@ -53,7 +55,11 @@ class Limits:
         )
         if (lower > upper).any() or (speed <= 0.0).any() or (acceleration <= 0.0).any():
             raise SpecError("limits: expected lower ≤ upper, and speed and acceleration above zero")
-        return lower - self.tolerance, upper + self.tolerance, speed, acceleration
+        if self.tolerance is None:
+            tolerance = np.minimum(_TOLERANCE, _SHARE * (upper - lower))
+        else:
+            tolerance = _each("tolerance", self.tolerance, 0.0, n_j)
+        return lower - tolerance, upper + tolerance, speed, acceleration
 
     def paces(self, n_j: int) -> Floats:
         """The pace as an array of shape (n_j,).
@@ -73,7 +79,7 @@ def _each(name: str, value: ArrayLike | None, otherwise: float, n_j: int) -> Flo
     return np.broadcast_to(array, (n_j,))
 
 
-def limit_breaches(spline: Spline, widths: tuple[Floats, Floats, Floats, Floats]) -> Breaches:
+def limit_breaches(spline: Path, widths: tuple[Floats, Floats, Floats, Floats]) -> Breaches:
     """Every stretch and joint of a spline that leaves its limits, at the extremum.
 
     Args:
@@ -115,7 +121,7 @@ def limit_breaches(spline: Spline, widths: tuple[Floats, Floats, Floats, Floats]
     return found
 
 
-def _range_breaches(spline: Spline, h: Floats, lower: Floats, upper: Floats) -> Breaches:
+def _range_breaches(spline: Path, h: Floats, lower: Floats, upper: Floats) -> Breaches:
     """Stretches outside the range, from the roots of the derivative, asked only where the control
     polygon leaves it.
     """
@@ -158,7 +164,7 @@ def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
     return np.take_along_axis(x, worst, 0)[0], np.take_along_axis(size, worst, 0)[0]
 
 
-def _over(kind: Kind, spline: Spline, x: Floats, size: Floats, limit: Floats) -> Breaches:
+def _over(kind: Kind, spline: Path, x: Floats, size: Floats, limit: Floats) -> Breaches:
     """Breaches where `size` (n - 1, n_j), reached x seconds into the stretch, exceeds its limit."""
     piece, joint = np.nonzero(size > limit * (1.0 + 1e-9))
     return breaches(

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.kinematics.inverse_dynamics import Inverse
+from coordlog.path import Path
 from coordlog.smooth.metrics import torque_peak, torque_rate
-from coordlog.smooth.spline import Spline
 
 _REST = 2  # samples of rest ahead and behind: the differences of the outer one see rest alone
 
@@ -34,7 +34,7 @@ class PathLoad(NamedTuple):
     """
 
     @classmethod
-    def of(cls, path: Spline, inverse: Inverse, period: float) -> PathLoad:
+    def of(cls, path: Path, inverse: Inverse, period: float) -> PathLoad:
         """Of a path of the episode that `inverse` is of, sampled every `period` seconds.
 
         Velocities and accelerations by differences.

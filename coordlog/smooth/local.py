@@ -13,11 +13,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats, Ints
+from coordlog.path import Floats, Ints, Path
 from coordlog.smooth.breach import Breaches, Kind
 from coordlog.smooth.metrics import jerk_of
 from coordlog.smooth.problem import Candidate, Problem
-from coordlog.smooth.spline import Spline
 
 _ROUNDS = (
     100  # each halves the distance to the samples somewhere; 30 take a radian below a nanoradian
@@ -63,7 +62,7 @@ def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
 
 
 def _softer(
-    problem: Problem, spline: Spline, weight: Floats, target: Floats, *, lenient: bool
+    problem: Problem, spline: Path, weight: Floats, target: Floats, *, lenient: bool
 ) -> Candidate | None:
     """The same fit with its ends eased over more knots, if it is worth it: the longest ease that is
     proven, or none.

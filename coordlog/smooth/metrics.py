@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.knots import Knots
-from coordlog.smooth.spline import Spline
 
 
 class Metrics(NamedTuple):
@@ -30,31 +29,32 @@ class Metrics(NamedTuple):
     path_length: float
     """Σ |Δq| [rad]."""
     max_deviation: float
-    """Largest distance of a joint from a sample of the log [rad]."""
+    """Largest distance of any joint from any sample that came in, in the unit of the joint."""
     end_error: float
     """Largest distance of a joint from the log at either end [rad]."""
 
 
-def measure(path: Spline, knots: Knots) -> Metrics:
-    """Figures of a path, sampled at the log's median period, and how far it lies from the log."""
-    (q, dt), away = _uniform(path, knots), abs(path(knots.time) - knots.position)
+def measure(path: Path, knots: Knots) -> Metrics:
+    """Figures of a path, sampled at the log's typical period, and how far it lies from the log."""
+    (q, dt), away = _uniform(path, knots), knots.away(path)
+    ends = np.abs(path.position[[0, -1]] - knots.position[[0, -1]])
     return Metrics(
         jerk=jerk(q, dt),
         acceleration=acceleration(q, dt),
         sparc=sparc(speed(q, dt), dt),
         ldlj=log_dimensionless_jerk(q, dt),
         path_length=path_length(q),
-        max_deviation=float(away.max()),
-        end_error=float(away[[0, -1]].max()),
+        max_deviation=float(np.nanmax(away)),
+        end_error=float(ends.max()),
     )
 
 
-def jerk_of(path: Spline, knots: Knots) -> float:
+def jerk_of(path: Path, knots: Knots) -> float:
     """The jerk of `Metrics` alone."""
     return jerk(*_uniform(path, knots))
 
 
-def _uniform(path: Spline, knots: Knots) -> tuple[Floats, float]:
+def _uniform(path: Path, knots: Knots) -> tuple[Floats, float]:
     n = max(2, round((path.time[-1] - path.time[0]) / knots.unit) + 1)
     time, dt = np.linspace(path.time[0], path.time[-1], n, retstep=True)
     return path(time), float(dt)

@@ -14,10 +14,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats, Ints
+from coordlog.path import Floats, Ints, Path
 from coordlog.smooth.cutoff import lam_from_p, p_from_lam
 from coordlog.smooth.problem import Candidate, Problem
-from coordlog.smooth.spline import Spline
 
 _PRECISION = 1e-6  # of p, as in the paper
 _BLOCK = 32  # knots asked about at once, before looking whether one has failed
@@ -61,7 +60,7 @@ def search(problem: Problem) -> Floats | None:
     return lam
 
 
-def _fit(problem: Problem, joint: int, p: float) -> Spline:
+def _fit(problem: Problem, joint: int, p: float) -> Path:
     column = slice(joint, joint + 1)
     ends = None if problem.velocity is None else problem.velocity[:, column]
     lam = float(lam_from_p(p, problem.grid.unit))
@@ -159,9 +158,7 @@ class _Knots:
 
     def _within(self, joint: int | slice, values: Floats) -> bool:
         lower, upper = self._problem.judge.widths[:2]
-        deviation = self._problem.config.max_deviation
+        farthest = self._problem.config.farthest(len(lower))[joint]
         inside = bool(((values >= lower[joint]) & (values <= upper[joint])).all())
-        return inside and (
-            deviation is None
-            or bool((abs(values - self._problem.knots.position[:, joint]) <= deviation).all())
-        )
+        away = abs(values - self._problem.knots.position[:, joint])
+        return inside and bool((away <= farthest).all())

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
 from coordlog.smooth.ease import EASE, LONGER, grid_for
 from coordlog.smooth.judge import Judge, Proof
 from coordlog.smooth.knots import Knots
-from coordlog.smooth.spline import Grid, Spline
+from coordlog.smooth.spline import Grid
 
 _LAM_MAX = (
     1e12  # knots³, a period of 6 000 knots; beyond it double precision leaves noise in the jerk
@@ -24,7 +24,7 @@ _LAM_MAX = (
 class Candidate:
     """A path that may be returned, and how it came about."""
 
-    spline: Spline
+    spline: Path
     lam: Floats  # (n_j,) s³
     weight: Floats  # (K,)
     proof: Proof
@@ -37,7 +37,7 @@ class Problem:
     """Knots, rules and options of one path."""
 
     knots: Knots
-    raw: Spline
+    raw: Path
     """The interpolant of the knots, with the same ends: what a candidate is compared with, and
     replaced by."""
     grid: Grid
@@ -60,7 +60,7 @@ class Problem:
 
     def fit(
         self, lam: float, *, weight: Floats | None = None, target: Floats | None = None
-    ) -> Spline:
+    ) -> Path:
         """The smoothing spline of all joints for one λ [s³].
 
         Weights and samples default to those of the knots.
@@ -84,7 +84,7 @@ class Problem:
         return min(float(lam_from_cutoff(asked, unit)), _LAM_MAX * unit**3)
 
     def candidate(
-        self, spline: Spline, lam: float | Floats, proof: Proof, weight: Floats | None = None
+        self, spline: Path, lam: float | Floats, proof: Proof, weight: Floats | None = None
     ) -> Candidate:
         """Wrap up a path that was proven."""
         each = np.broadcast_to(np.asarray(lam, dtype=float), self.knots.position.shape[1:])

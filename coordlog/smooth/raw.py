@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from coordlog.smooth.arrays import Bools, Floats
+from coordlog.path import Bools, Floats, Path
 from coordlog.smooth.breach import NONE, Breaches, Kind
 from coordlog.smooth.counted import Counted
 from coordlog.smooth.limits import limit_breaches
 from coordlog.smooth.samples import Samples
-from coordlog.smooth.spline import Spline
+from coordlog.smooth.times import spacing
 
 _ABOUT = 4  # knots by which a collision may come earlier or later than in the raw path
 _ALIKE = 1e-4  # m: depths that count as the same
@@ -26,7 +26,7 @@ class Raw:
 
     def __init__(
         self,
-        spline: Spline,
+        spline: Path,
         asked: Counted,
         samples: Samples,
         *,
@@ -40,7 +40,7 @@ class Raw:
             samples,
             clearance,
         )
-        self._unit = float(np.median(np.diff(spline.time)))
+        self._unit = spacing(spline.time)
         ends = slice(None, None, len(spline.time) - 1)
         self.ends = asked.try_on(spline.time[ends], spline.position[ends], clearance)
         """Contacts of the end points, which no candidate can mend."""

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+
 from coordlog import episode
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import cutoff_from_lam, p_from_lam
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.metrics import Metrics, measure
-from coordlog.smooth.spline import Spline
 
 SMOOTHED = "smoothed"
 """Proven by every rule asked for."""
@@ -65,8 +66,8 @@ class Result:
     certified: bool
     """Proven free between samples too: at the clearance asked, or without touching for the pairs
     that fall short of it."""
-    spline: Spline
-    raw: Spline
+    spline: Path
+    raw: Path
     """The interpolant of the knots with the same ends, which the figures `before` are of."""
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
@@ -80,6 +81,16 @@ class Result:
     cpu: float
     """Processor time [s]."""
     config: Config
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the samples before, with counts; empty if each was taken as it came."""
+        return self.knots.notes
+
+    @property
+    def deviation(self) -> Floats:
+        """Largest distance of each joint from its samples, in its own unit, (n_j,)."""
+        return np.asarray(np.nanmax(self.knots.away(self.spline), axis=0))
 
     @cached_property
     def before(self) -> Metrics:

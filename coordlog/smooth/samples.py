@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordlog.smooth.arrays import Floats, Ints
-from coordlog.smooth.spline import Spline
+from coordlog.path import Floats, Ints, Path
+from coordlog.smooth.times import spacing
 
 _COARSEST = 8  # knots between the first samples looked at; a smooth path that collides mostly shows it there
 
 
 class Samples:
-    """All knots but the ends, and at least `dense` samples per median knot spacing, in levels.
+    """All knots but the ends, and at least `dense` samples per typical knot spacing, in levels.
 
     The end points belong to the log and are the same for every candidate, so they are judged once,
     elsewhere.
@@ -25,7 +25,7 @@ class Samples:
         Dense = 1 is the knots alone.
         """
         h = np.diff(knot_time)
-        parts = dense * np.ceil(h / np.median(h) - 1e-6).astype(int)
+        parts = dense * np.ceil(h / spacing(knot_time) - 1e-6).astype(int)
         piece = np.repeat(np.arange(len(h)), parts)
         part = np.arange(len(piece)) - np.repeat(np.cumsum(parts) - parts, parts)
         x = part / parts[piece]
@@ -49,7 +49,7 @@ class Samples:
         self.levels: list[Ints] = [np.flatnonzero(level == each) for each in range(level.max() + 1)]
         """Indices into `time`, to be looked at in this order."""
 
-    def __call__(self, spline: Spline, index: Ints) -> Floats:
+    def __call__(self, spline: Path, index: Ints) -> Floats:
         """Positions of a spline over the same knots, shape (len(index), n_j)."""
         piece, (a, b, u, v) = self._piece[index], self._basis[:, index, None]
         return np.asarray(
@@ -63,10 +63,3 @@ class Samples:
         """Index of the sample nearest to each time."""
         after = np.searchsorted(self.time, time).clip(1, len(self.time) - 1)
         return np.asarray(after - (time - self.time[after - 1] < self.time[after] - time))
-
-    def near(self, time: Floats, width: float) -> Ints:
-        """Indices of the samples within `width` [s] of any of these times."""
-        edge = np.zeros(len(self.time) + 1, np.intp)
-        np.add.at(edge, np.searchsorted(self.time, time - width), 1)
-        np.add.at(edge, np.searchsorted(self.time, time + width, side="right"), -1)
-        return np.flatnonzero(np.cumsum(edge[:-1]) > 0)

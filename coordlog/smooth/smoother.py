@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coordlog.errors import ConfigError, SpecError
-from coordlog.smooth.arrays import Floats
+from coordlog.errors import SpecError
+from coordlog.path import Path
 from coordlog.smooth.breach import Breaches, Kind
 from coordlog.smooth.config import Config
 from coordlog.smooth.counted import BudgetSpentError
@@ -26,7 +26,6 @@ from coordlog.smooth.paper import paper
 from coordlog.smooth.problem import Candidate, Problem
 from coordlog.smooth.result import KEPT_RAW, PARTLY, RAW_INFEASIBLE, SMOOTHED, Result, Violation
 from coordlog.smooth.shared import shared
-from coordlog.smooth.spline import Spline
 
 _METHODS = {"local": local, "shared": shared, "paper": paper}
 
@@ -37,7 +36,7 @@ def smooth(
     checker: Checker,
     *,
     limits: Limits | None = None,
-    end_velocity: ArrayLike | None = None,
+    continuous: Sequence[int] = (),
     joints: Sequence[str] = (),
     **options: Any,
 ) -> Result:
@@ -48,13 +47,12 @@ def smooth(
             command = result.spline(t)          # also result.spline(t, 1), result.spline.ppoly, result.path()
 
     Args:
-        time: Sample times [s], shape (n,).
-        q: Joint angles [rad], shape (n, n_j), columns from the base to the tip; NaN marks a missing
-            sample.
+        time: Sample times, shape (n,): seconds as floats, datetime64 or timedelta64.
+        q: Joint positions [rad, m for slides], shape (n, n_j), columns from the base to the tip;
+            a NaN or masked entry is a missing sample of that joint.
         checker: Decides which configurations are allowed, see `coordlog.smooth.feasibility`.
         limits: Range, speed and acceleration of the joints.
-        end_velocity: Joint velocities [rad/s] at the first and last time, shape (2, n_j), for
-            ends="keep".
+        continuous: Columns of joints that turn without end; their angles are unwrapped first.
         joints: Names for the columns, for the reason.
         **options: Fields of `coordlog.smooth.config.Config`: method, cutoff, max_deviation,
         clearance, ends, dense,
@@ -69,18 +67,17 @@ def smooth(
         ConfigError: if an option is unknown or out of range, or a certificate is wanted of a
             checker without distances.
     """
-    began, config, knots = process_time(), Config.of(**options), clean(time, q)
+    began, config = process_time(), Config.of(**options)
+    knots = clean(time, q, continuous=continuous, joints=joints)
     if len(joints) not in (0, knots.position.shape[1]):
         raise SpecError(f"joints: expected {knots.position.shape[1]} names, got {len(joints)}")
-    problem = _problem(
-        knots, checker, limits or Limits(), _end_slopes(config, knots, end_velocity), config
-    )
+    problem = _problem(knots, checker, limits or Limits(), config)
     best, spent = _search(problem)
     names = joints or [f"joint {i}" for i in range(knots.position.shape[1])]
     status, reason, violation, best = _verdict(problem, best, spent, names)
     return Result(
-        status=status,
-        reason=reason,
+        status=PARTLY if status == SMOOTHED and not knots.sound else status,
+        reason="; ".join([*([reason] if reason else []), *knots.notes]),
         violation=violation,
         certified=best.proof.certified,
         spline=best.spline,
@@ -96,26 +93,9 @@ def smooth(
     )
 
 
-def _end_slopes(config: Config, knots: Knots, given: ArrayLike | None) -> Floats | None:
-    shape = (2, knots.position.shape[1])
-    if (given is None) == (config.ends == "keep"):
-        raise ConfigError(
-            f"end_velocity: needed with ends='keep', and only there; got ends='{config.ends}'"
-        )
-    if given is None:
-        return np.zeros(shape) if config.clamped else None
-    slopes = np.asarray(given, dtype=float)
-    if slopes.shape != shape or not np.isfinite(slopes).all():
-        raise SpecError(
-            f"end_velocity: expected finite numbers of shape {shape}, got shape {slopes.shape}"
-        )
-    return slopes
-
-
-def _problem(
-    knots: Knots, checker: Checker, limits: Limits, velocity: Floats | None, config: Config
-) -> Problem:
+def _problem(knots: Knots, checker: Checker, limits: Limits, config: Config) -> Problem:
     grid = grid_for(knots.time, config)
+    velocity = np.zeros((2, knots.position.shape[1])) if config.clamped else None
     raw = grid.fit(knots.position, lam=0.0, weight=knots.weight, velocity=velocity)
     return Problem(
         knots, raw, grid, velocity, Judge(checker, knots, raw, limits=limits, config=config), config
@@ -198,7 +178,7 @@ def _kept(
     return KEPT_RAW, f"no smoother path could be proven: {failure}", failure, kept
 
 
-def _unsafe(problem: Problem, path: Spline, found: Breaches) -> bool:
+def _unsafe(problem: Problem, path: Path, found: Breaches) -> bool:
     return bool((found.kind == Kind.RANGE).any()) or problem.judge.collides(path, found)
 
 

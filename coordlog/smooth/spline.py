@@ -2,74 +2,21 @@
 
 A fit minimises, for every column of the samples, Σ w_i (y_i - f(t_i))² + λ ∫ f''² dt. Only 1/w
 enters the equations, so an infinite weight is an exact equality and needs no trick. Time runs in
-knots inside (one unit is the median spacing), which keeps the small-p digits that seconds would
+knots inside (one unit is the typical spacing), which keeps the small-p digits that seconds would
 lose; λ and every result are in seconds.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly
 from scipy.linalg.lapack import dpbsv
 
 from coordlog.errors import SpecError
-from coordlog.smooth.arrays import Floats
+from coordlog.path import Floats, Path
+from coordlog.smooth.times import spacing
 
 _LAM_CLAMPED = 1e15  # knots³; with clamped ends the equations are singular at λ = ∞, and nothing moves beyond this
-
-
-@dataclass(frozen=True, eq=False)
-class Spline:
-    """A piecewise cubic path: its break points; between two of them it is the cubic Hermite
-    polynomial.
-
-    `spline(t)` is the position at any time [s] of [time[0], time[-1]], `spline(t, nu)` its nu-th
-    derivative.
-    """
-
-    time: Floats  # (B,) s, increasing
-    position: Floats  # (B, n_j) rad
-    velocity: Floats  # (B, n_j) rad/s
-
-    @cached_property
-    def ppoly(self) -> PPoly:
-        """The same curve as scipy knows it: coefficients (4, B - 1, n_j) over break points (B,)."""
-        return PPoly(self.coefficients, self.time)
-
-    @cached_property
-    def coefficients(self) -> Floats:
-        """Power-basis coefficients on each interval, highest power first, shape (4, B - 1, n_j)."""
-        h = np.diff(self.time)[:, None]
-        slope = np.diff(self.position, axis=0) / h
-        left, right = self.velocity[:-1], self.velocity[1:]
-        bend = (left + right - 2.0 * slope) / h
-        return np.stack([bend / h, (slope - left) / h - bend, left, self.position[:-1]])
-
-    def __call__(self, t: ArrayLike, nu: int = 0) -> Floats:
-        """Value (nu = 0) or nu-th derivative.
-
-        Args:
-            t: Times [s], any shape.
-            nu: Order of the derivative, ≥ 0.
-
-        Returns:
-            Array of shape (*t.shape, n_j), rad/s^nu.
-
-        Raises:
-            SpecError: if a time lies outside the path.
-        """
-        t = np.asarray(t, dtype=float)
-        first, last = self.time[0], self.time[-1]
-        slack = 1e-9 * (last - first)
-        if t.size and not (first - slack <= t.min() and t.max() <= last + slack):
-            raise SpecError(
-                f"t: the path is defined from {first:g} s to {last:g} s, got {t.min():g} … {t.max():g} s"
-            )
-        return np.asarray(self.ppoly(np.clip(t, first, last), nu))
 
 
 class Grid:
@@ -88,8 +35,8 @@ class Grid:
         natural ends.
         """
         self.time, self.clamped = time, clamped
-        self.unit = float(np.median(np.diff(time)))
-        """Seconds in one knot: the median spacing."""
+        self.unit = spacing(time)
+        """Seconds in one knot: the typical spacing."""
         u = (time - time[0]) / self.unit
         h = np.diff(u)
         self._x, self._h, self._inverse = u / u[-1], h[:, None], 1.0 / h[:, None]
@@ -109,7 +56,7 @@ class Grid:
 
     def fit(
         self, value: Floats, *, lam: float, weight: Floats, velocity: Floats | None = None
-    ) -> Spline:
+    ) -> Path:
         """Fit every column of `value`; arguments as of the function `fit`, unchecked, one λ."""
         span = self.time[-1] - self.time[0]
         slope = (value[-1] - value[0]) / span
@@ -118,13 +65,13 @@ class Grid:
         position, speed = _hermite(self._x, value[[0, -1]], ends * span)
         rest, rate = self._solve(value - position, lam / self.unit**3, 1.0 / weight)
         exact = np.isinf(weight)[:, None] | (lam == 0.0)
-        return Spline(
+        return Path(
             self.time, np.where(exact, value, position + rest), speed / span + rate / self.unit
         )
 
     def fit_each(
         self, value: Floats, *, lam: Floats, weight: Floats, velocity: Floats | None = None
-    ) -> Spline:
+    ) -> Path:
         """The same with one λ for each column, shape (n_j,)."""
         position, speed = np.empty_like(value), np.empty_like(value)
         for one in np.unique(lam):
@@ -132,7 +79,7 @@ class Grid:
             ends = None if velocity is None else velocity[:, columns]
             part = self.fit(value[:, columns], lam=float(one), weight=weight, velocity=ends)
             position[:, columns], speed[:, columns] = part.position, part.velocity
-        return Spline(self.time, position, speed)
+        return Path(self.time, position, speed)
 
     def _solve(self, y: Floats, lam: float, spread: Floats) -> tuple[Floats, Floats]:
         """Values and slopes at the knots, in knot time.
@@ -191,7 +138,7 @@ def fit(
     lam: ArrayLike,
     weight: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
-) -> Spline:
+) -> Path:
     """Fit a cubic smoothing spline to each column of the samples.
 
     Minimises Σ w_i (value_i - f(time_i))² + λ ∫ f''² dt. λ = 0 interpolates, λ = ∞ is the weighted
@@ -208,7 +155,7 @@ def fit(
             None: natural ends.
 
     Returns:
-        Spline with one break point at each sample time.
+        Path with one break point at each sample time.
 
     Raises:
         SpecError: if a shape is wrong, time does not increase, a value is not finite, or λ is

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordlog.smooth import Spline, Unobstructed, Verdict, fit
+from coordlog.smooth import Path, Unobstructed, Verdict, fit
 from coordlog.smooth.breach import Kind
 from coordlog.smooth.certificate import certify
 from tests.smooth.planar import PlanarArm
@@ -39,7 +39,7 @@ class Bump:
 
 
 def flat(value):
-    return Spline(np.arange(0.0, 11.0), np.full((11, 1), value), np.zeros((11, 1)))
+    return Path(np.arange(0.0, 11.0), np.full((11, 1), value), np.zeros((11, 1)))
 
 
 def test_what_no_sample_sees_is_found():
@@ -65,11 +65,11 @@ class Ceiling(Bump):
 @pytest.mark.parametrize(
     "spline",
     [
-        Spline(
+        Path(
             np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
         ),  # at rest at both ends, fast between
-        Spline(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])),  # a hump
-        Spline(
+        Path(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])),  # a hump
+        Path(
             np.array([0.0, 0.5, 1.0]),
             np.array([[0.0], [0.2], [1.0]]),
             np.array([[0.0], [0.9], [0.0]]),

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordlog.errors import SpecError
-from coordlog.smooth import Limits, Spline
+from coordlog.smooth import Limits, Path
 from coordlog.smooth.breach import Kind
 from coordlog.smooth.limits import limit_breaches
 
 
 def path(seed, n=7, joints=2):
     rng = np.random.default_rng(seed)
-    return Spline(
+    return Path(
         np.cumsum(rng.uniform(0.2, 1.0, n)),
         rng.normal(size=(n, joints)),
         2.0 * rng.normal(size=(n, joints)),
@@ -64,7 +64,7 @@ def test_no_sample_exceeds_what_is_reported_and_every_report_is_real(seed):
 
 
 def test_overshoot_between_knots_inside_the_range_is_found():
-    spline = Spline(
+    spline = Path(
         np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])
     )  # a hump of height 1
     found = limit_breaches(spline, Limits(upper=0.9, tolerance=0.0).widths(1))
@@ -74,7 +74,7 @@ def test_overshoot_between_knots_inside_the_range_is_found():
 
 
 def test_soft_joint_stops_are_tolerated_by_a_milliradian():
-    spline = Spline(np.array([0.0, 1.0]), np.array([[0.0], [1.0009]]), np.zeros((2, 1)))
+    spline = Path(np.array([0.0, 1.0]), np.array([[0.0], [1.0009]]), np.zeros((2, 1)))
     assert not len(limit_breaches(spline, Limits(upper=1.0).widths(1)))
     assert len(limit_breaches(spline, Limits(upper=1.0, tolerance=0.0).widths(1)))
 

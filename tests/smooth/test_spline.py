@@ -236,7 +236,7 @@ def test_evaluation_is_scipys():
     assert isinstance(spline.ppoly, PPoly)
     at = np.linspace(time[0], time[-1], 12).reshape(3, 4)
     assert spline(at).shape == (3, 4, 3)
-    np.testing.assert_array_equal(spline(at, 2), spline.ppoly(at, 2))
+    np.testing.assert_allclose(spline(at, 2), spline.ppoly(at, 2), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(spline(time, 1), spline.velocity, atol=1e-12)
     with pytest.raises(SpecError, match=r"the path is defined from 0\.3"):
         spline(time[-1] + 0.01)
