@@ -119,12 +119,10 @@ def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
         connection = sqlite3.connect(f"file:{file}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error as error:
         raise FormatError(f"{file}: {error}") from error
-    query = (
-        "select messages.timestamp, messages.data from messages join topics "
-        "on messages.topic_id = topics.id where topics.name = ? order by messages.id"
-    )
     try:
-        found = connection.execute(query, (topic,)).fetchall()
+        ids = connection.execute("select id from topics where name = ?", (topic,)).fetchall()
+        query = "select timestamp, data from messages where topic_id = ?"
+        found = [row for one in ids for row in connection.execute(query, one).fetchall()]
     except sqlite3.Error as error:
         raise FormatError(f"{file}: not an sqlite3 bag that can be read: {error}") from error
     finally:
