@@ -27,7 +27,7 @@ def joint_state(ns, names, position, velocity=()):
     return bytes(STORE.serialize_cdr(message, JOINT_STATE))
 
 
-def motion(rng, n=200, names=NAMES):
+def recorded(rng, n=200, names=NAMES):
     """100 Hz with 1 ms of jitter and a gap of 0.4 s in the middle: stamps [ns] and positions."""
     seconds = np.sort(np.arange(n) / 100 + rng.normal(0, 1e-3, n).clip(-4e-3, 4e-3))
     seconds[n // 2 :] += 0.4

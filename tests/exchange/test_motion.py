@@ -1,5 +1,6 @@
 """Clocks are judged and cut without a number being changed."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -62,9 +63,7 @@ def test_cutting_at_gaps_loses_no_sample_and_leaves_no_gap(steps, gap):
     np.testing.assert_array_equal(np.concatenate([p.stamps for p in pieces]), motion.stamps)
     np.testing.assert_array_equal(np.concatenate([p.position for p in pieces]), motion.position)
     assert all((np.diff(piece.stamps) <= gap * NS).all() for piece in pieces)
-    assert all(
-        b.stamps[0] - a.stamps[-1] > gap * NS for a, b in zip(pieces, pieces[1:], strict=False)
-    )
+    assert all(b.stamps[0] - a.stamps[-1] > gap * NS for a, b in pairwise(pieces))
 
 
 def test_cuts_are_made_where_they_are_asked_for():

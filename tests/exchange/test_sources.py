@@ -14,7 +14,16 @@ from coordlog.errors import ConfigError, FormatError, StorageError
 from coordlog.exchange.blocks import Options, export
 from coordlog.exchange.source import entries
 from coordlog.exchange.sources import Reading, digest_of, kind_of, motions
-from tests.exchange.bags import JOINT_STATE, NAMES, START, STORE, T, joint_state, motion, write_bag
+from tests.exchange.bags import (
+    JOINT_STATE,
+    NAMES,
+    START,
+    STORE,
+    T,
+    joint_state,
+    recorded,
+    write_bag,
+)
 
 
 def read(path, **reading):
@@ -31,7 +40,7 @@ def refused(path, said, error=FormatError, **reading):
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_a_bag_gives_every_joint_state(tmp_path, rng, storage, shuffled):
-    stamps, position = motion(rng)
+    stamps, position = recorded(rng)
     order = np.random.default_rng(1) if shuffled else None
     write_bag(tmp_path / "bag", stamps, position, rng=order, storage=storage)
     (found,) = read(tmp_path / "bag")
@@ -46,7 +55,7 @@ def test_a_bag_gives_every_joint_state(tmp_path, rng, storage, shuffled):
 
 
 def test_a_bare_file_of_a_bag_is_a_bag(tmp_path, rng):
-    stamps, position = motion(rng, 20)
+    stamps, position = recorded(rng, 20)
     for storage, name in (("mcap", "bag.mcap"), ("sqlite3", "lite.db3")):
         folder = write_bag(tmp_path / name.split(".")[0], stamps, position, storage=storage)
         assert kind_of(folder / name) == "rosbag2"
@@ -104,7 +113,7 @@ def test_a_topic_that_two_publishers_share_is_refused(tmp_path):
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_that_was_cut_off_is_one_sentence(tmp_path, rng, storage):
-    stamps, position = motion(rng, 50)
+    stamps, position = recorded(rng, 50)
     write_bag(tmp_path / "bag", stamps, position, storage=storage)
     (file,) = [path for path in (tmp_path / "bag").iterdir() if path.suffix != ".yaml"]
     whole = file.read_bytes()
