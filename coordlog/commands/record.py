@@ -26,7 +26,7 @@ def record(
     scene: Annotated[
         str,
         typer.Option(
-            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table."
+            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
         ),
     ] = "",
     policy: Annotated[
@@ -110,6 +110,7 @@ def record(
     from coordlog.commands.branches import Branched, Parents
     from coordlog.policies.scripted import with_noise
     from coordlog.record.recorder import Recorder
+    from coordlog.sim.examine import scarce
     from coordlog.sim.rollout import rollout
     from coordlog.sim.scoring import Scoreboard
     from coordlog.tasks.scene import find
@@ -162,6 +163,8 @@ def record(
     summary = _summary(board, sink, recorder, steps=steps, seconds=time.perf_counter() - began)
     summary["wanted"] = len(numbers)
     _show(summary, out=out, as_json=as_json)
+    if seldom := scarce(env):
+        terminal.note(seldom)
     if interrupted:
         terminal.note(
             f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept"
