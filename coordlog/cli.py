@@ -16,6 +16,7 @@ from coordlog.commands import (
     check,
     diff,
     export,
+    import_,
     index,
     info,
     pack,
@@ -23,6 +24,7 @@ from coordlog.commands import (
     query,
     record,
     recover,
+    robot,
     scenes,
     select,
     smooth,
@@ -59,6 +61,7 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("robot")(robot.robot)
 app.command("export")(export.export)
 app.command("index")(index.index)
 app.command("query")(query.query)
@@ -66,6 +69,7 @@ app.command("select")(select.select)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:

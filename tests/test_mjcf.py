@@ -1,13 +1,12 @@
 """Loading a model out of a log: the same model, and nothing else is ever opened."""
 
 import mujoco
+import numpy as np
 import pytest
 import zstandard
 
-from coordlog import mjcf as attached
 from coordlog.errors import FormatError
-from coordlog.mjcf import compose, load_model
-from coordlog.sim.env import binary
+from coordlog.mjcf import attached, compile_model, compose, load_attached, load_model, pack_source
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
@@ -18,12 +17,21 @@ def packed(content):
     )
 
 
+def binary(model):
+    """A compiled model as MuJoCo's own bytes."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_the_text_gives_the_model_that_was_simulated_and_no_mjb_is_loaded(name):
-    text = compose(SCENES[name], EnvConfig())
-    wanted = mujoco.MjModel.from_xml_string(text)
+    source = compose(SCENES[name], EnvConfig())
+    wanted = compile_model(source)
+    text = packed(source.text)
+    assert binary(load_attached(pack_source(source))) == binary(wanted)
     for mjb in (None, packed(b"what would crash MuJoCo")):
-        assert binary(load_model(packed(text), mjb)) == binary(wanted)
+        assert binary(load_model(text, mjb)) == binary(wanted)
     with pytest.raises(FormatError, match="MJB, which is not loaded"):
         load_model(None, packed(binary(wanted)))
 

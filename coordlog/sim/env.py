@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from typing import Any
 
 import mujoco
 import numpy as np
-import zstandard
 
-from coordlog.config import plain
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
+from coordlog.config import build, plain
+from coordlog.contracts import Branch, Outcome, Problem
+from coordlog.episode import INITIAL_STATE, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
-from coordlog.mjcf import compile_model, compose, self_contained
-from coordlog.robots.robot import Robot
-from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.sampler import Branch, Draw, Problem
-from coordlog.sim.simulation import Outcome, Simulation
-from coordlog.sim.task import Task
-from coordlog.spec import Layout
+from coordlog.mjcf import actuator_label, compile_model, compose, pack_source, with_radii
+from coordlog.sim.physics import Physics
+from coordlog.sim.sampler import Draw
+from coordlog.sim.settling import faults, settle
+from coordlog.sim.simulation import Simulation
+from coordlog.sim.task import BoundTask
+from coordlog.spec import Field, Layout
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.registry import make_task, task_class
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
-SETTLE_SECONDS = 4.0
-"""The start pose is simulated this long, so that an episode starts at rest."""
 SAME = 0.01
 """How far a branch may begin from where it was left, in entries of the state: nothing on the
 machine that recorded it."""
@@ -47,6 +47,7 @@ class BatchEnv:
         n: int = 1,
         threads: int = 0,
         start: str = "stand",
+        task: Mapping[str, Any] | None = None,
     ) -> None:
         """Compile the scene and let the robot come to rest in its start pose.
 
@@ -57,27 +58,35 @@ class BatchEnv:
             n: Number of simulations.
             threads: Threads to step on; 0 for all cores.
             start: Name of the robot's start pose.
+            task: Constants of the scene's task that are its own, by name.
 
         Raises:
-            ConfigError: for a pose, period or name that does not fit the robot's model.
-            FormatError: if the model needs other files.
+            ConfigError: for a pose, period or name that does not fit the robot's model, a file it
+                lacks, or a pose it does not hold.
             SimulationError: if it does not compile.
         """
-        config, reward = config or EnvConfig(), reward or RewardConfig()
+        config, reward = config or default_config(scene), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
-        self.text = compose(scene, config)
-        self_contained(
-            self.text.encode()
-        )  # a log carries its model as text: what could not be replayed is not recorded
-        model = compile_model(self.text)
-        self.task = Task(scene.robot, model, config, reward)
-        self.physics = Physics(model, n=n, threads=threads)
+        self.source = compose(scene, config)
+        model = compile_model(self.source)
+        rules = make_task(scene.task, config, reward, task)
+        self.task = BoundTask(rules, scene.robot, model, config, reward)
+        rest = settle(scene.robot, model, start)
+        wrong = faults(scene.robot, model, start, rest)
+        if wrong:
+            raise ConfigError(f"robot '{scene.robot.name}': {'; '.join(wrong)}")
+        self.resting = rest.resting
+        """Pairs of geoms that lie against one another in the start pose and that no action moves
+        apart: their contacts are none."""
+        self.physics = Physics(model, n=n, threads=threads, resting=self.resting)
         self.simulation = Simulation(self.task, self.physics, n=n)
-        self._rest = settled(scene.robot, model, start)
+        self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, model, config, standing=standing, start=start)
+        self.draw = Draw(
+            scene, rules, model, config, standing=standing, start=start, resting=self.resting
+        )
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -92,6 +101,15 @@ class BatchEnv:
     def state(self) -> Array:
         """Present policy state of every simulation, (N, n_x) float32."""
         return self.simulation.state
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What the task logs of its own."""
+        return self.task.fields
+
+    def present(self, ids: Array) -> dict[str, Array]:
+        """Every field that holds before an action, the core's and the task's, (len(ids), …)."""
+        return self.simulation.present(ids)
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The problem of one episode (sim/sampler.py)."""
@@ -116,16 +134,16 @@ class BatchEnv:
         radii = np.array([problem.spheres[:, 3] for problem in problems]) + task.config.inflate
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
-        self.simulation.begin(ids, radii)
+        self.simulation.begin(ids, radii, [problem.track for problem in problems])
         branched = [
-            (int(sim), problem.branch)
+            (int(sim), problem, problem.branch)
             for sim, problem in zip(ids, problems, strict=True)
             if problem.branch is not None
         ]
-        for sim, branch in branched:
-            self._follow(sim, branch)
+        for sim, problem, branch in branched:
+            self._follow(sim, problem, branch)
 
-    def _follow(self, sim: int, branch: Branch) -> None:
+    def _follow(self, sim: int, problem: Problem, branch: Branch) -> None:
         """Do what led to a branch, and begin there."""
         at = np.array([sim])
         for action in branch.actions:
@@ -137,7 +155,8 @@ class BatchEnv:
                 f"recorded (the state differs by {away:.2g}): expected the same environment and the same MuJoCo"
             )
         self.physics.rows[sim, 0] = 0.0  # time
-        self.simulation.begin(at, self.simulation.radii[at])
+        track = None if problem.track is None else problem.track[len(branch.actions) :]
+        self.simulation.begin(at, self.simulation.radii[at], [track])
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance simulations `ids` by one control period.
@@ -147,8 +166,8 @@ class BatchEnv:
         return self.simulation.step(action, ids)
 
     def attachments(self, sim: int) -> dict[str, bytes]:
-        """What a file needs so that it alone can be simulated again: one simulation's model as text
-        and as MJB, and its state.
+        """What a file needs so that it alone can be simulated again: one simulation's model and its
+        state.
 
         Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the
         model the simulation runs on.
@@ -160,13 +179,8 @@ class BatchEnv:
         radii = tuple(float(radius) for radius in self.simulation.radii[sim])
         if not radii and self._packed:
             return self._packed
-        text = compose(self.scene, self.task.config, radii) if radii else self.text
-        packed = {
-            MODEL_XML: _pack(text.encode()),
-            MODEL_MJB: _pack(binary(self.physics.model_of(sim))),
-        }
-        self._packed = packed
-        return packed
+        self._packed = pack_source(with_radii(self.source, radii) if radii else self.source)
+        return self._packed
 
     @property
     def layout(self) -> Layout:
@@ -178,6 +192,7 @@ class BatchEnv:
             n_x=len(self.task.view),
             n_u=len(self.task.servos),
             k=len(self.scene.robot.arms),
+            n_c=model.nu,
         )
 
     def describe(self) -> Json:
@@ -190,9 +205,11 @@ class BatchEnv:
             "robot": robot.to_json(),
             "config": plain(self.task.config),
             "reward": plain(self.task.reward),
+            "task": self.task.rules.to_json(),
             "joints": hinges(model),
-            "actuators": [model.actuator(i).name for i in range(model.nu)],
+            "actuators": [actuator_label(model, i) for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],
+            "resting": [list(pair) for pair in self.resting],
             "arms": robot.served,
             "action_joints": list(robot.action_joints),
             "layout": asdict(self.layout),
@@ -200,15 +217,9 @@ class BatchEnv:
         }
 
 
-def binary(model: mujoco.MjModel) -> bytes:
-    """A compiled model as MJB."""
-    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()
-
-
-def _pack(content: bytes) -> bytes:
-    return zstandard.ZstdCompressor(level=6).compress(content)
+def default_config(scene: Scene) -> EnvConfig:
+    """The environment's constants in a scene, where nobody says otherwise: its task's."""
+    return build(EnvConfig, task_class(scene.task)[0].defaults)
 
 
 def hinges(model: mujoco.MjModel) -> list[Json]:
@@ -220,39 +231,3 @@ def hinges(model: mujoco.MjModel) -> list[Json]:
         {"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])}
         for joint in joints
     ]
-
-
-def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
-    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and
-    simulated until it stands still.
-
-    Raises:
-        ConfigError: if the pose names a joint that is not there, or puts one outside its range.
-    """
-    data = mujoco.MjData(model)
-    for name, angle in robot.poses[pose].items():
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if joint < 0:
-            raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks"
-            )
-        low, high = model.jnt_range[joint]
-        if model.jnt_limited[joint] and not low <= angle <= high:
-            raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}"
-            )
-        data.qpos[model.jnt_qposadr[joint]] = angle
-    for i in range(model.nu):
-        data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
-    mujoco.mj_kinematics(model, data)
-    if robot.soles:
-        lowest = min(
-            data.site_xpos[i, 2] for i in range(model.nsite) if "_corner_" in model.site(i).name
-        )
-        data.qpos[2] -= lowest
-    for _ in range(round(SETTLE_SECONDS / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    data.time = 0.0
-    row = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, row, STATE)
-    return row

@@ -7,28 +7,30 @@ use disjoint random streams.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
+from coordlog.contracts import Problem, Sample, Task
 from coordlog.episode import Array
 from coordlog.errors import SimulationError, unknown
 from coordlog.kinematics.ik import Reach
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import Box3, Scene
+from coordlog.tasks.goals import inside
+from coordlog.tasks.scene import Scene
 
 SPLITS = {"train": 0, "test": 1}
 ATTEMPTS = 200
+"""Draws after which a scene is given up of which none has been feasible."""
+PATIENCE = 50
+"""This many times as many draws are made where others of the scene's have been feasible."""
+FEASIBLE = "feasible"
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal
 beyond the palm's own size."""
 PALM_RADIUS = 0.02
-MIDDLE = 0.35
-"""Goals that are a random posture's palms: the share of every joint's range, around its middle,
-that the posture is drawn from. Over the whole range most postures are only reached by way of
-others."""
-
 POSTURES = 100
 """Random postures that are looked at before a start is left where it was."""
 SPREAD = 4.0
@@ -36,36 +38,11 @@ SPREAD = 4.0
 SHARED = 0.3
 """Share of their way that shared joints of a robot on feet go towards a random posture: the spine
 carries half the mass."""
+FAR_BELOW = -10.0
+"""Height at which spheres are out of the way [m]: a start is drawn before they are."""
 TIGHT = 0.005
 """Obstacles keep this far [m] from starts near postures that reach: goals are close to what holds
 them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """Where another episode is left: its first actions lead there, and an episode of its own
-    begins.
-    """
-
-    parent: str
-    """What it is left of, by its digest."""
-    actions: Array  # (t, n_u) float32
-    state: Array  # (n_x,) float32, where they lead
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """One drawn episode: goals, obstacles and start angles."""
-
-    seed: int
-    split: str
-    index: int
-    goals: Array  # (k, 3) m
-    centre: Array | None  # (3,) of the object, m
-    spheres: Array  # (n_spheres, 4): x, y, z, radius, m
-    angles: Array  # (n_u,) start angles of the action joints, rad
-    branch: Branch | None = None
-    """Where the episode begins, if not at its own beginning."""
 
 
 class Draw:
@@ -74,25 +51,37 @@ class Draw:
     def __init__(
         self,
         scene: Scene,
+        task: Task,
         model: mujoco.MjModel,
         config: EnvConfig,
         *,
         standing: Array,
         start: str = "stand",
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Copy what is needed to verify draws.
 
         Args:
             scene: What to draw for.
+            task: Draws the goals.
             model: The scene's compiled model.
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
             start: Name of that pose.
+            resting: Pairs of geoms that lie against one another and never count as touching.
         """
-        self._scene, self._config = scene, config
+        self._scene, self._task, self._config, self._model = scene, task, config, model
+        self.tally: Counter[str] = Counter()
+        """How often a draw was feasible (FEASIBLE), and why the others were not."""
         self.reach = Reach(
-            scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing
+            scene.robot,
+            model,
+            margin=config.balance_margin,
+            tilt=config.tilt,
+            standing=standing,
+            resting=resting,
         )
+        self._away = np.tile([0.0, 0.0, FAR_BELOW, scene.sphere_radius[0]], (scene.spheres, 1))
         robot = scene.robot
         self._poses = [
             self.reach.angles_of(robot, pose)
@@ -116,21 +105,36 @@ class Draw:
         if split not in SPLITS:
             raise unknown("split", split, SPLITS)
         rng = np.random.default_rng([seed, SPLITS[split], index])
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS * PATIENCE):
+            if attempt >= ATTEMPTS and not self.tally[FEASIBLE]:
+                break
             angles = self._start(rng, split)
             spheres = self._spheres(rng)
-            goals, centre = self._goals(rng)
-            if self._feasible(goals, spheres, angles):
-                if (
-                    split == "train"
-                    and self._config.start_solved > 0
-                    and rng.random() < self._config.start_solved
-                ):
-                    angles = self._solved(rng, angles)
-                return Problem(seed, split, index, goals, centre, spheres, angles)
+            self.reach.place(spheres)
+            sample = self._task.sample(rng, self._scene, self.reach, angles)
+            why_not = self._infeasible(sample, spheres, angles)
+            self.tally[why_not or FEASIBLE] += 1
+            if sample is None or why_not:
+                continue
+            if (
+                sample.track is None  # goals that move start where the palms are
+                and split == "train"
+                and self._config.start_solved > 0
+                and rng.random() < self._config.start_solved
+            ):
+                angles = self._solved(rng, angles)
+            drawn = (sample.goals, sample.centre, spheres, angles)
+            return Problem(seed, split, index, *drawn, track=sample.track)
         raise SimulationError(
-            f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})"
+            f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, episode {index}): {self.reasons()}"
         )
+
+    def reasons(self) -> str:
+        """Why draws have not been feasible, the commonest first."""
+        count = Counter({why: n for why, n in self.tally.items() if why != FEASIBLE})
+        total = sum(self.tally.values())
+        said = [f"{why} ({n} of {total})" for why, n in count.most_common(4)]
+        return "; ".join(said) or "all were feasible"
 
     def _start(self, rng: np.random.Generator, split: str) -> Array:
         """The start pose and noise; of the split "train", a share elsewhere."""
@@ -143,6 +147,7 @@ class Draw:
             pose = self._poses[rng.integers(len(self._poses))]
             return np.clip(standing + rng.random() * (pose - standing) + SPREAD * noise, low, high)
         if config.start_line <= kind < elsewhere:
+            self.reach.place(self._away)
             for _ in range(POSTURES):
                 angles = standing + rng.random() * self._freedom * (
                     rng.uniform(low, high) - standing
@@ -156,7 +161,8 @@ class Draw:
         others end (Florensa et al. 2017).
         """
         low, high = self.reach.limits.T
-        there = self.reach.solve(self._goals(rng)[0])
+        other = self._task.sample(rng, self._scene, self.reach, otherwise)
+        there = None if other is None else self.reach.solve(other.goals)
         if there is None:
             return otherwise
         for _ in range(POSTURES):
@@ -174,35 +180,23 @@ class Draw:
         if not count or box is None:
             return np.zeros((0, 4))
         low, high = self._scene.sphere_radius
-        return np.stack(
-            [np.append(_inside(rng, box), rng.uniform(low, high)) for _ in range(count)]
-        )
+        return np.stack([np.append(inside(rng, box), rng.uniform(low, high)) for _ in range(count)])
 
-    def _goals(self, rng: np.random.Generator) -> tuple[Array, Array | None]:
-        if (
-            self._scene.object_box is None
-        ):  # a goal of its own for every arm: where a random posture puts the palms
-            middle, half = self.reach.limits.mean(axis=1), np.ptp(self.reach.limits, axis=1) / 2
-            return self.reach.palms(
-                rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half)
-            ), None
-        centre = _inside(rng, self._scene.object_box)
-        sides = np.array([self._scene.palm_offset, -self._scene.palm_offset])
-        return np.stack([centre + np.array([0.0, side, 0.0]) for side in sides]), centre
-
-    def _feasible(self, goals: Array, spheres: Array, angles: Array) -> bool:
+    def _infeasible(self, sample: Sample | None, spheres: Array, angles: Array) -> str:
+        """Why a draw cannot be solved; empty if it can."""
+        if sample is None:
+            return "the task finds no goals from its start posture"
+        goals = sample.goals
         for sphere in spheres:
             if (
                 np.linalg.norm(goals - sphere[:3], axis=1) < sphere[3] + PALM_RADIUS + CLEARANCE
             ).any():
-                return False
-        self.reach.place(spheres)
+                return "a goal lies inside or beside a sphere"
         if self.reach.touches(angles, clearance=CLEARANCE):
-            return False
-        # Goals that were drawn as a posture's palms are reachable as drawn.
-        return self._scene.object_box is None or self.reach.solve(goals) is not None
-
-
-def _inside(rng: np.random.Generator, box: Box3) -> Array:
-    low, high = np.array(box).T
-    return np.asarray(rng.uniform(low, high))
+            one, other = (self._model.geom(geom).name or f"geom {geom}" for geom in self.reach.met)
+            return f"the start pose touches: {one} and {other}, or an obstacle is within {CLEARANCE * 100:g} cm of it"
+        if sample.reachable or self.reach.solve(goals) is not None:
+            return ""
+        if any(self.reach.descend(goals, seed) is not None for seed in self.reach.seeds):
+            return "the goals are reached by no posture that touches nothing and keeps its balance"
+        return "the goals are out of reach"
