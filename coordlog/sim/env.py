@@ -84,8 +84,9 @@ class BatchEnv:
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
-        at_rest = {"standing": standing, "resting": self.resting, "start": start}
-        self.draw = Draw(scene, rules, model, config, **at_rest)
+        self.draw = Draw(
+            scene, rules, model, config, standing=standing, resting=self.resting, start=start
+        )
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
