@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from coordlog.sim.env import BatchEnv
     from coordlog.tasks.scene import Scene
 
-TABLES = ("env", "reward")
+TABLES = ("env", "reward", "task")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -105,7 +105,8 @@ def make_env(
 
     Args:
         scene: What to simulate, or the name of one that ships.
-        tables: Tables "env" and "reward" of a configuration file, or none.
+        tables: Tables "env", "reward" and "task" of a configuration file, or none; "task" has the
+            constants that are the task's own.
         start: Name of the start pose.
         envs: Number of simulations.
         threads: Threads to simulate on.
@@ -116,25 +117,30 @@ def make_env(
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
-    from coordlog.config import build
-    from coordlog.sim.env import BatchEnv
+    from coordlog.config import build, plain
+    from coordlog.sim.env import BatchEnv, default_config
     from coordlog.tasks.config import EnvConfig, RewardConfig
+    from coordlog.tasks.registry import SAID
     from coordlog.tasks.scene import find
 
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
+    place = find(scene) if isinstance(scene, str) else scene
     before = like or {"config": {}, "reward": {}}
+    own = {key: value for key, value in before.get("task", {}).items() if key not in SAID}
     reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
-    constants = build(EnvConfig, before["config"] | tables.get("env", {}))
+    config = plain(default_config(place)) | before["config"] | tables.get("env", {})
+    constants = build(EnvConfig, config)
     if doubts and "reward" in tables:
         for doubt in reward.doubts(steps=constants.max_steps):
             note(doubt)
     return BatchEnv(
-        find(scene) if isinstance(scene, str) else scene,
+        place,
         constants,
         reward,
         n=envs,
         threads=threads,
         start=start,
+        task=own | tables.get("task", {}),
     )

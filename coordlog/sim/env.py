@@ -192,6 +192,7 @@ class BatchEnv:
             n_x=len(self.task.view),
             n_u=len(self.task.servos),
             k=len(self.scene.robot.arms),
+            n_c=model.nu,
         )
 
     def describe(self) -> Json:

@@ -134,9 +134,8 @@ class Physics:
             "sensordata"
         )  # (n, n_sensordata), of the present state
         self.ctrl: Array = self._batch.bind("ctrl")  # (n, n_servos)
-        self.torque: Array = self._batch.bind(
-            "actuator_force"
-        )  # (n, n_c) N·m, during the last physics step
+        # Not bound: what a batch binds besides the state is of the thread that looked last.
+        self.torque: Array = np.zeros((n, model.nu))  # N·m, during the last physics step
         self._time = self._batch.bind("time")
         self._counts = tuple(self._batch.bind(name) for name in COUNTERS)
         self._counting = Counting.of(model, resting=bool(resting))
@@ -218,6 +217,7 @@ class Physics:
         except BatchError as error:  # those simulations kept their state; the others were stepped
             self._failed[error.ids] = True
         self._failed[ids] |= ~(self._time[ids] > end)  # MuJoCo gave up under way
+        self.torque[ids] = records["actuator_force"][:, -1]
         self._look(ids)
         return records
 
@@ -243,6 +243,7 @@ class Physics:
         return {
             **counters,
             "qpos": np.zeros((n, substeps, model.nq)),
+            "actuator_force": np.zeros((n, substeps, model.nu)),
             "ctrl": np.zeros((n, substeps, model.nu)),
         }
 

@@ -38,6 +38,8 @@ SPREAD = 4.0
 SHARED = 0.3
 """Share of their way that shared joints of a robot on feet go towards a random posture: the spine
 carries half the mass."""
+FAR_BELOW = -10.0
+"""Height at which spheres are out of the way [m]: a start is drawn before they are."""
 TIGHT = 0.005
 """Obstacles keep this far [m] from starts near postures that reach: goals are close to what holds
 them."""
@@ -54,8 +56,8 @@ class Draw:
         config: EnvConfig,
         *,
         standing: Array,
-        resting: Sequence[tuple[int, int]] = (),
         start: str = "stand",
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Copy what is needed to verify draws.
 
@@ -65,8 +67,8 @@ class Draw:
             model: The scene's compiled model.
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
-            resting: Pairs of geoms that lie against one another and never count as touching.
             start: Name of that pose.
+            resting: Pairs of geoms that lie against one another and never count as touching.
         """
         self._scene, self._task, self._config, self._model = scene, task, config, model
         self.tally: Counter[str] = Counter()
@@ -79,6 +81,7 @@ class Draw:
             standing=standing,
             resting=resting,
         )
+        self._away = np.tile([0.0, 0.0, FAR_BELOW, scene.sphere_radius[0]], (scene.spheres, 1))
         robot = scene.robot
         self._poses = [
             self.reach.angles_of(robot, pose)
@@ -111,24 +114,17 @@ class Draw:
             sample = self._task.sample(rng, self._scene, self.reach, angles)
             why_not = self._infeasible(sample, spheres, angles)
             self.tally[why_not or FEASIBLE] += 1
-            if sample is not None and not why_not:
-                if (
-                    sample.track is None  # goals that move start where the palms are
-                    and split == "train"
-                    and self._config.start_solved > 0
-                    and rng.random() < self._config.start_solved
-                ):
-                    angles = self._solved(rng, angles)
-                return Problem(
-                    seed,
-                    split,
-                    index,
-                    sample.goals,
-                    sample.centre,
-                    spheres,
-                    angles,
-                    track=sample.track,
-                )
+            if sample is None or why_not:
+                continue
+            if (
+                sample.track is None  # goals that move start where the palms are
+                and split == "train"
+                and self._config.start_solved > 0
+                and rng.random() < self._config.start_solved
+            ):
+                angles = self._solved(rng, angles)
+            drawn = (sample.goals, sample.centre, spheres, angles)
+            return Problem(seed, split, index, *drawn, track=sample.track)
         raise SimulationError(
             f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, episode {index}): {self.reasons()}"
         )
@@ -151,6 +147,7 @@ class Draw:
             pose = self._poses[rng.integers(len(self._poses))]
             return np.clip(standing + rng.random() * (pose - standing) + SPREAD * noise, low, high)
         if config.start_line <= kind < elsewhere:
+            self.reach.place(self._away)
             for _ in range(POSTURES):
                 angles = standing + rng.random() * self._freedom * (
                     rng.uniform(low, high) - standing
@@ -188,7 +185,7 @@ class Draw:
     def _infeasible(self, sample: Sample | None, spheres: Array, angles: Array) -> str:
         """Why a draw cannot be solved; empty if it can."""
         if sample is None:
-            return "the task finds no goals that it could ask for"
+            return "the task finds no goals from its start posture"
         goals = sample.goals
         for sphere in spheres:
             if (
@@ -197,7 +194,7 @@ class Draw:
                 return "a goal lies inside or beside a sphere"
         if self.reach.touches(angles, clearance=CLEARANCE):
             one, other = (self._model.geom(geom).name or f"geom {geom}" for geom in self.reach.met)
-            return f"the start pose touches: {one} and {other} meet, or come within {CLEARANCE * 100:g} cm if one is an obstacle"
+            return f"the start pose touches: {one} and {other}, or an obstacle is within {CLEARANCE * 100:g} cm of it"
         if sample.reachable or self.reach.solve(goals) is not None:
             return ""
         if any(self.reach.descend(goals, seed) is not None for seed in self.reach.seeds):

@@ -119,6 +119,7 @@ def _compare_bits(episode: Episode, trace: Trace) -> list[Difference]:
     found = [
         (step, name)
         for name, column in trace.columns.items()
+        if episode.has(name)
         for step in _unequal(getattr(episode, name), column)[:1]
     ]
     if found:
@@ -133,6 +134,8 @@ def _compare_nearly(episode: Episode, trace: Trace) -> list[Difference]:
     """The first step at which a column differs by more than its tolerance."""
     found = []
     for name, tolerance in TOLERANCES.items():
+        if name not in trace.columns or not episode.has(name):
+            continue
         logged, again = getattr(episode, name), trace.columns[name]
         away = ~(np.abs(logged - again) <= tolerance)
         steps = np.flatnonzero(away.any(axis=tuple(range(1, away.ndim))))
