@@ -25,6 +25,7 @@ from coordlog.commands import (
     query,
     record,
     recover,
+    robot,
     scenes,
     select,
     smooth,
@@ -52,6 +53,7 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("robot")(robot.robot)
 app.command("export")(export.export)
 app.command("index")(index.index)
 app.command("query")(query.query)

@@ -23,8 +23,9 @@ SHIPPED = Path(__file__).parents[1] / "policies"
 SCENE-KIND where several do.
 """
 KINDS = ("live",)
-"""What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps."""
-ENDS = tuple(f"-{kind}" for kind in KINDS)
+"""What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps. Where
+the policy that ships for a scene is of the kind anyway, it is that one.
+"""
 SHIELD = "velocity damper"
 """What the `coordlog.policy` record calls the shield."""
 
@@ -35,17 +36,27 @@ def pretrained(scene: str, kind: str = "") -> Path:
     Raises:
         ConfigError: if none does.
     """
-    end = f"-{kind}" if kind else ""
-    file = SHIPPED / f"{scene}{end}{SUFFIX}"
-    if not file.is_file():
-        stems = sorted(path.stem for path in SHIPPED.glob(f"*{end}{SUFFIX}"))
-        others = [stem.removesuffix(end) for stem in stems if kind or not stem.endswith(ENDS)]
-        names = ", ".join(others) or "none"
+    found = {}
+    for path in sorted(SHIPPED.glob("*.json")):
+        file = path.with_suffix(SUFFIX)
+        said = card(file)
+        if said.get("kind", "") == kind:
+            found[said["scene"]] = file
+        elif kind == said["training"]["mode"] and not said.get("kind"):
+            found.setdefault(said["scene"], file)
+    if scene not in found:
+        what = f"no {kind} policy" if kind else "no policy"
         raise ConfigError(
-            f"no {kind + ' ' if kind else ''}policy ships for scene '{scene}'; one does for: {names}; "
+            f"{what} ships for scene '{scene}'; one does for: {', '.join(found) or 'none'}; "
             "others come from `coordlog train`"
         )
-    return file
+    return found[scene]
+
+
+def card(file: Path) -> Json:
+    """What the card beside a shipped policy says."""
+    said: Json = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+    return said
 
 
 def shipped_kind(name: str) -> str | None:
@@ -114,8 +125,7 @@ def wants_shield(name: str, scene: str) -> bool:
     kind = shipped_kind(name)
     if kind is None:
         return False
-    card = pretrained(scene, kind).with_suffix(".json")
-    return bool(json.loads(card.read_text(encoding="utf-8"))["shield"])
+    return bool(card(pretrained(scene, kind))["shield"])
 
 
 def make_policy(

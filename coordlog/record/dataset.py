@@ -19,29 +19,21 @@ from typing import NamedTuple, TypeVar, overload
 import numpy as np
 import pyarrow as pa
 
-from coordlog.episode import Array, Episode, Result
+from coordlog.episode import Array, Episode
 from coordlog.errors import FormatError, SpecError, StorageError
 from coordlog.record.addresses import expand
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
-from coordlog.record.messages import decode_final, decode_steps
-from coordlog.record.metadata import (
-    ENV,
-    EPISODE,
-    RESULT,
-    decode_layout,
-    decode_result,
-    require_version,
-)
+from coordlog.record.contents import contents
+from coordlog.record.decoding import joined, opened_episode
 from coordlog.record.opening import File, load, naming
-from coordlog.record.reader import Contents, contents, probe, read_episode, require_order
+from coordlog.record.reader import probe, read_episode
 from coordlog.record.storage import PART
-from coordlog.spec import FINAL, STEP
+from coordlog.spec import STEP_INDEX, before
 
 _T = TypeVar("_T")
 
 SUFFIX = ".mcap"
 
-_TOPICS = frozenset({STEP.topic, FINAL.topic})
 _GROUP = 16  # files decoded together: their blocks stay in the cache
 
 
@@ -135,8 +127,8 @@ class Dataset(Sequence[Episode]):
                 yield episode
 
     def to_table(self) -> pa.Table:
-        """All steps of all episodes: the columns of `spec.STEP` and `episode`, the index into
-        `paths`.
+        """All steps of all episodes: the columns of `Header.fields`, `step`, and `episode`, the index
+        into `paths`.
 
         Raises:
             SpecError: if the episodes are of different robots or tasks.
@@ -203,19 +195,15 @@ class _Loaded:
     def __init__(self, index: int, path: Path) -> None:
         data = load(path)
         with naming(path):
-            found: Contents = contents(data, only=_TOPICS)
-            require_version(found.metadata.get(EPISODE, {}))
-            self.layout, self.arms = decode_layout(found.metadata.get(ENV, {}))
-            self.result: Result = decode_result(found.metadata.get(RESULT, {}))
+            self.found = contents(data, rows=True)
+            self.header, self.result = opened_episode(self.found)
         self.index, self.path = index, path
-        self.steps, self.final = (
-            found.messages.get(STEP.topic, []),
-            found.messages.get(FINAL.topic, []),
-        )
+        self.layout, self.arms = self.header.layout, self.header.arms
+        self.fields = self.header.fields
 
     def require_same(self, other: _Loaded) -> None:
         """Refuse to mix robots or tasks in one table."""
-        for name in ("layout", "arms"):
+        for name in ("layout", "arms", "fields"):
             mine, its = getattr(self, name), getattr(other, name)
             if mine != its:
                 raise SpecError(
@@ -225,26 +213,30 @@ class _Loaded:
 
 def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], Array]:
     """Columns of all steps and of all final states of a group, and the lengths of its episodes."""
-    layout, lengths = group[0].layout, np.array([loaded.result.length for loaded in group])
     with naming(group[0].path):
-        steps = decode_steps([record for loaded in group for record in loaded.steps], layout)
-        final = decode_final([record for loaded in group for record in loaded.final], layout)
-        require_order(steps["step"], final["step"], lengths)
-    return steps, final, lengths
+        return joined(
+            [loaded.found for loaded in group],
+            group[0].header,
+            [loaded.result for loaded in group],
+        )
 
 
 def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
     steps, _, lengths = _decoded(group)
     episode = np.repeat(np.array([loaded.index for loaded in group], np.int32), lengths)
+    fields = [item for item in (STEP_INDEX, *group[0].fields) if item.name in steps]
     return record_batch(
-        [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in STEP.fields)],
+        [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in fields)],
         {"episode": episode, **steps},
     )
 
 
 def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
     _, final, lengths = _decoded(group)
-    fields = [EPISODE_INDEX, *(arrow_field(item, group[0].layout) for item in FINAL.fields[1:])]
+    fields = [
+        EPISODE_INDEX,
+        *(arrow_field(i, group[0].layout) for i in before(group[0].fields) if i.name in final),
+    ]
     batch = record_batch(
         fields, {"episode": np.array([loaded.index for loaded in group], np.int32), **final}
     )

@@ -17,24 +17,33 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from coordlog.episode import Array, Episode, Result
+from coordlog.episode import Array, Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import expand
-from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
+from coordlog.record.contents import Contents, contents
+from coordlog.record.decoding import decode
+from coordlog.record.messages import (
+    decode_contacts,
+    decode_inputs,
+    decode_path,
+    decode_topic,
+    step_message,
+)
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result
-from coordlog.record.opening import File, load, naming, summary_start, verify_summary
-from coordlog.record.reader import Contents, contents, decode
+from coordlog.record.opening import File, is_own, load, naming, summary_start, verify_summary
 from coordlog.record.records import (
     DATA_END,
     MAGIC,
+    RECORD_HEAD,
     TAIL_SIZE,
     unpack_attachment,
     unpack_metadata,
     walk,
 )
 from coordlog.record.storage import PART, PartFile, move_new, refuse_existing, translated
+from coordlog.record.topics import task_messages
 from coordlog.record.writer import write_episode
-from coordlog.spec import CONTACTS, FINAL, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
+from coordlog.spec import CONTACTS, FINAL, INPUTS, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
 from coordlog.verify.damage import repaired
 
 ABORTED = "recovered"
@@ -119,6 +128,9 @@ def restored_whole(data: bytes) -> bytes | None:
     None if the file is not whole.
     """
     try:
+        if not is_own(data):
+            decode(contents(data))
+            return data
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         stop = start - DATA_END.size
         verify_summary(memoryview(data)[start:])
@@ -146,11 +158,17 @@ def salvaged(data: bytes) -> Salvage:
     records, messages = ground.found.metadata, ground.found.messages
     if not set(HEADER_RECORDS) <= set(records):
         raise TruncatedError("ends within its opening metadata: nothing to recover")
-    header = decode_header(records)
-    steps = decode_steps(messages.get(STEP.topic, []), header.layout)
-    final = decode_final(messages.get(FINAL.topic, []), header.layout)
-    on_disk = _in_order(steps["step"])
-    known = len(final["step"]) == 1 and int(final["step"][0]) == on_disk == len(steps["step"])
+    header, found = decode_header(records), ground.found
+    rows = [decode_topic(found.stream(STEP.topic), step_message(header), header.layout)]
+    ends = [decode_topic(found.stream(FINAL.topic), FINAL, header.layout)]
+    for message, tables in zip(task_messages(header), (rows, ends), strict=False):
+        if header.version > 1 and message.topic in messages:
+            tables.append(decode_topic(found.stream(message.topic), message, header.layout))
+    on_disk = min(_in_order(table["step"]) for table in rows)
+    steps = {name: column[:on_disk] for table in rows for name, column in table.items()}
+    final = {name: column for table in ends for name, column in table.items()}
+    known = all(len(table["step"]) == 1 and int(table["step"][0]) == on_disk for table in ends)
+    known = known and all(len(table["step"]) == on_disk for table in rows)
     kept = on_disk if known else on_disk - 1
     if kept < 1:
         raise TruncatedError(
@@ -163,14 +181,17 @@ def salvaged(data: bytes) -> Salvage:
     marker = decode_result(records[RESULT]).aborted if known and RESULT in records else ABORTED
     path = None
     if known and KNOT.topic in messages and SPLINE.topic in messages:
-        path = decode_path(messages[KNOT.topic], messages[SPLINE.topic], header.layout)
-    contacts = decode_contacts(messages.get(CONTACTS.topic, []), header.layout)
+        path = decode_path(found.stream(KNOT.topic), found.stream(SPLINE.topic), header.layout)
+    contacts = decode_contacts(found.stream(CONTACTS.topic), header.layout)
+    inputs = decode_inputs(found.stream(INPUTS.topic))
+    inside = inputs["step"] < kept if inputs else slice(0)
     episode = Episode(
         header=header,
         result=_unknown_result(marker),
         contacts=contacts[contacts["step"] < kept],
         path=path,
-        **_columns(steps, final if known else None, kept),
+        inputs={name: column[inside] for name, column in inputs.items()},
+        columns=_columns(header, steps, final if known else None, kept),
     )
     lost = "; ".join(ground.notes) if not known else "; ".join(["nothing", *ground.notes])
     return Salvage(episode, ground.attachments, JOINT_STATE_TOPIC in messages, lost, not known)
@@ -178,6 +199,7 @@ def salvaged(data: bytes) -> Salvage:
 
 def _ground(data: bytes) -> _Ground:
     ground, at, view = _Ground(), len(MAGIC), memoryview(data)
+    ground.found.own = is_own(data)
     for span in walk(data):
         content = view[span.start : span.end]
         try:
@@ -191,6 +213,8 @@ def _ground(data: bytes) -> _Ground:
             elif span.opcode == Opcode.ATTACHMENT:
                 name, stored = unpack_attachment(content)
                 ground.attachments[name] = stored
+            elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                ground.found.learn(data[span.start - RECORD_HEAD.size : span.end])
             elif span.opcode not in (Opcode.HEADER, Opcode.MESSAGE_INDEX):
                 break
         except FormatError as error:
@@ -210,20 +234,22 @@ def _in_order(steps: Array) -> int:
 
 
 def _columns(
-    steps: Mapping[str, Array], final: Mapping[str, Array] | None, kept: int
+    header: Header, steps: Mapping[str, Array], final: Mapping[str, Array] | None, kept: int
 ) -> dict[str, Array]:
     """The columns of an episode of `kept` steps, whose last state is the final one or that of the
     step after.
     """
-    columns = {item.name: steps[item.name][:kept] for item in STEP.fields[1:]}
     last = (
         {name: column[kept : kept + 1] for name, column in steps.items()}
         if final is None
         else final
     )
-    return columns | {
-        item.name: np.concatenate([columns[item.name], last[item.name]])
-        for item in FINAL.fields[1:]
+    return {
+        item.name: np.concatenate([steps[item.name][:kept], last[item.name]])
+        if item.when == "before"
+        else steps[item.name][:kept]
+        for item in header.fields
+        if item.name in steps
     }
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from mcap.opcode import Opcode
-from test_reader import bad_files
 
 from coordlog.errors import FormatError, SpecError, StorageError, TruncatedError
 from coordlog.record import dataset
 from coordlog.record.records import walk
 from coordlog.record.writer import write_episode
 from coordlog.spec import STEP
+from tests.record.test_reader import bad_files
 from tests.synthetic import (
     ATTACHMENTS,
     PLANAR,

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_recover import assert_prefix
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_episode
@@ -20,6 +19,7 @@ from coordlog.spec import FINAL, STEP
 from coordlog.verify.file import check
 from coordlog.verify.repair import recover
 from tests.synthetic import ATTACHMENTS, COLUMNS, assert_same, make_episode, outcome, rewards
+from tests.verify.test_repair import assert_prefix
 
 HERE = Path(__file__).parents[2]
 

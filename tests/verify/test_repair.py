@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from test_reader import bad_files, foreign_mcap
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_attachments, read_episode, read_header
@@ -15,6 +14,7 @@ from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, STEP
 from coordlog.verify.file import check
 from coordlog.verify.repair import ABORTED, recover, restored_whole, salvaged
+from tests.record.test_reader import bad_files, foreign_mcap
 from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome, rewards
 
 
