@@ -27,6 +27,7 @@ from coordlog.record.contents import contents
 from coordlog.record.decoding import joined, opened_episode
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import probe, read_episode
+from coordlog.record.recording import Recording
 from coordlog.record.storage import PART
 from coordlog.spec import STEP_INDEX, before
 
@@ -144,6 +145,11 @@ class Dataset(Sequence[Episode]):
             FormatError: if a file is damaged, and they are not to be skipped.
         """
         return self._table(_final_batch)
+
+    def recordings(self) -> Iterator[Recording]:
+        """Each episode as a recording, which reads its file when something is asked of it."""
+        for path in self.paths:
+            yield Recording(path)
 
     def attempt(self, path: Path, read: Callable[[Path], _T]) -> _T | None:
         """What `read` made of a file.
