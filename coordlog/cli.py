@@ -15,12 +15,19 @@ from rich.text import Text
 
 from coordlog.commands import (
     check,
+    diff,
     export,
+    import_,
+    index,
     info,
+    pack,
     plot,
+    query,
     record,
     recover,
+    robot,
     scenes,
+    select,
     smooth,
     train,
     view,
@@ -46,7 +53,15 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("robot")(robot.robot)
 app.command("export")(export.export)
+app.command("index")(index.index)
+app.command("query")(query.query)
+app.command("select")(select.select)
+app.command("diff")(diff.diff)
+app.command("pack")(pack.pack)
+app.command("unpack")(pack.unpack)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:

@@ -1,13 +1,12 @@
 """Loading a model out of a log: the same model, and nothing else is ever opened."""
 
 import mujoco
+import numpy as np
 import pytest
 import zstandard
 
-from coordlog import mjcf as attached
 from coordlog.errors import FormatError
-from coordlog.mjcf import compose, load_model
-from coordlog.sim.env import binary
+from coordlog.mjcf import attached, compile_model, compose, load_attached, load_model, pack_source
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
@@ -18,15 +17,23 @@ def packed(content):
     )
 
 
+def binary(model):
+    """A compiled model as MuJoCo's own bytes."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_text_and_mjb_give_the_model_that_was_simulated(name):
-    text = compose(SCENES[name], EnvConfig())
-    wanted = mujoco.MjModel.from_xml_string(text)
+    source = compose(SCENES[name], EnvConfig())
+    wanted = compile_model(source)
     mjb = packed(binary(wanted))
     for model in (
-        load_model(packed(text), None),
+        load_attached(pack_source(source)),
+        load_model(packed(source.text), None),
         load_model(None, mjb),
-        load_model(packed(text), mjb),
+        load_model(packed(source.text), mjb),
     ):
         assert binary(model) == binary(wanted)
 

@@ -80,10 +80,32 @@ def _show(summary: Summary, *, every: bool) -> None:
                 f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}",
                 highlight=False,
             )
+    if len(shown) == 1:
+        _show_contacts(shown[0])
     for item in summary.skipped:
         terminal.note(f"skipped: {item.path}: {item.reason}")
     for part in summary.parts:
         terminal.note(f"unfinished: {part}; `coordlog recover` makes an episode of it")
+
+
+def _show_contacts(row: Row) -> None:
+    """What touched what in an episode, the pair that did so longest first."""
+    from collections import Counter
+
+    from coordlog.record.reader import read_episode
+
+    episode = read_episode(Path(row.path))
+    names, contacts = episode.header.env.get("geoms", []), episode.contacts
+    steps = Counter(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
+    for (one, other), count in steps.most_common(MANY):
+        pair = (contacts["geom1"] == one) & (contacts["geom2"] == other)
+        label = " – ".join(
+            (names[g] if g < len(names) else "") or f"geom {g}" for g in (one, other)
+        )
+        depth = contacts["depth"][pair].max() * 1e3
+        terminal.out.print(
+            f"contact: {label} at {count} steps, {depth:.1f} mm deep at most", highlight=False
+        )
 
 
 def _cells(row: Row) -> list[object]:

@@ -59,7 +59,12 @@ def expand(path: Path, *, search: Callable[[Sequence[Path]], Iterable[Path]]) ->
         FormatError: if a pack's index or a manifest is damaged.
     """
     if manifest.is_manifest(path):
-        found = manifest.resolve(path, stat=size_and_time, digest=sha256, search=search)
+        found = manifest.resolve(
+            path,
+            stat=size_and_time,
+            digest=sha256,
+            search=lambda sources: search([each for each in sources if _is_there(each)]),
+        )
         gone = tuple(
             (Path(each.path), f"gone: no file with the sha256 {each.digest[:12]} was found")
             for each in found.gone
@@ -81,6 +86,10 @@ def is_elsewhere(path: File) -> bool:
     """Whether an address is of a shard, a member of one, or an object, by its spelling."""
     text = os.fspath(path)
     return is_url(text) or _MEMBER.search(text) is not None
+
+
+def _is_there(path: Path) -> bool:
+    return is_elsewhere(path) or path.exists()
 
 
 def is_pack(path: Path) -> bool:
@@ -142,6 +151,34 @@ def size_and_time(path: File) -> tuple[int, int] | None:
     except StorageError:
         return None
     return None if entry is None else (entry.size, entry.mtime)
+
+
+def name_within(path: Path, named: Path, *, several: bool) -> str:
+    """What an episode is called in another store: its path from what was named on.
+
+    Args:
+        path: The episode.
+        named: The folder, pack, prefix, manifest or file that it was found by.
+        several: More than one was named: the folder's own name goes before.
+    """
+    if is_elsewhere(path):
+        name = _inside(path).name
+        if is_url(path) and not _inside(path).shard:
+            name = bucket_key(path).removeprefix(bucket_key(named)).strip("/") or path.name
+    elif named in path.parents:
+        name = path.relative_to(named).as_posix()
+    elif manifest.is_manifest(named):
+        name = os.path.relpath(path, manifest.split_name(named)[0].parent)
+        while name.startswith("../"):
+            name = name[3:]
+    else:
+        return path.name
+    return f"{named.resolve().name}/{name}" if several and named.suffix != manifest.SUFFIX else name
+
+
+def bucket_key(url: File) -> str:
+    """The key of an object within its bucket."""
+    return split_url(url)[1].partition("/")[2].strip("/")
 
 
 def listed(path: Path) -> list[Entry]:

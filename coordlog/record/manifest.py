@@ -143,7 +143,7 @@ def decode(data: bytes) -> Manifest:
     if edition != EDITION:
         raise FormatError(f"manifest of edition {edition}; this release reads edition {EDITION}")
     try:
-        if rule != _RULE:
+        if rule != _RULE or not data.endswith(b"\n"):
             raise ValueError
         manifest = Manifest(
             name=head["name"],

@@ -12,7 +12,6 @@ next shard.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import io
 import os
@@ -21,20 +20,15 @@ import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 from coordlog.errors import FormatError, StorageError
 from coordlog.record.places import Entry, Folder, Place
-from coordlog.record.storage import translated
 
-SHARD_BYTES = 256_000_000
-"""A shard is closed as soon as it is at least this large."""
 SHARD, INDEX = ".tar", ".index"
 
 _NAME = re.compile(r"^shard-\d{6,}\.tar$")
-_BLOCK = tarfile.BLOCKSIZE
-_SYNC_BYTES = 32_000_000  # written between two fsyncs
+BLOCK = tarfile.BLOCKSIZE
 
 
 class Member(NamedTuple):
@@ -154,7 +148,7 @@ def scan(place: Place, shard: Entry) -> Index:
     try:
         with tarfile.open(fileobj=stream, mode="r:") as archive:
             for info in archive:
-                end = info.offset_data + -(-info.size // _BLOCK) * _BLOCK
+                end = info.offset_data + -(-info.size // BLOCK) * BLOCK
                 if end > shard.size:
                     return Index(tuple(members), shard.size - info.offset)
                 members.append(Member(info.offset_data, info.size, "", int(info.mtime), info.name))
@@ -165,10 +159,10 @@ def scan(place: Place, shard: Entry) -> Index:
 
 
 def _require_tar(place: Place, shard: Entry) -> None:
-    if shard.size < _BLOCK:
+    if shard.size < BLOCK:
         return
     try:
-        first = place.read(shard.name, 0, _BLOCK)
+        first = place.read(shard.name, 0, BLOCK)
         tarfile.TarInfo.frombuf(first, "utf-8", "surrogateescape")
     except tarfile.HeaderError as error:
         raise FormatError(
@@ -202,112 +196,6 @@ class _Reader(io.RawIOBase):
         return size
 
 
-class PackWriter:
-    """Appends episode files to a pack on this machine; a context manager.
-
-    A member is appended in one write: a crash loses at most the one being written. Shards are
-    closed at `shard_bytes`; a shard of another writer is never touched.
-
-    Example:
-        >>> with PackWriter("PACK") as pack:  # doctest: +SKIP
-        ...     pack.append("a.mcap", data, mtime=1_700_000_000)
-    """
-
-    def __init__(self, path: str | os.PathLike[str], *, shard_bytes: int = SHARD_BYTES) -> None:
-        """Make the folder.
-
-        Raises:
-            StorageError: if it cannot be made.
-        """
-        self.path = Path(path)
-        self._shard_bytes = shard_bytes
-        with translated(self.path, "make the folder"):
-            self.path.mkdir(parents=True, exist_ok=True)
-        self._fd = -1
-        self._shard = Path()
-        self._members: list[Member] = []
-        self._at, self._synced = 0, 0
-        pack = Pack(Folder(self.path))
-        self._names = {
-            member.name for shard in pack.shards() for member in pack.index(shard.name).members
-        }
-
-    def append(self, name: str, data: bytes, *, mtime: int) -> Path:
-        """Append one file; the address under which it is found.
-
-        Raises:
-            StorageError: if the pack has a member of that name, or the file system refuses.
-        """
-        if name in self._names:
-            raise StorageError(
-                f"{self.path}: the pack has a member {name} and replaces none; choose another name"
-            )
-        if self._fd < 0:
-            self._begin()
-        head = _head(name, len(data), mtime)
-        padding = bytes(-len(data) % _BLOCK)
-        with translated(self._shard, "write", "what was packed before is intact"):
-            _write_all(self._fd, b"".join((head, data, padding)))
-        digest = hashlib.sha256(data).hexdigest()
-        self._members.append(Member(self._at + len(head), len(data), digest, mtime, name))
-        self._names.add(name)
-        self._at += len(head) + len(data) + len(padding)
-        address = self._shard / name
-        if self._at >= self._shard_bytes:
-            self._finish()
-        elif self._at - self._synced >= _SYNC_BYTES:
-            self.sync()
-        return address
-
-    def sync(self) -> None:
-        """Make durable what was appended."""
-        if self._fd >= 0:
-            with translated(self._shard, "write"):
-                os.fsync(self._fd)
-            self._synced = self._at
-
-    def close(self) -> None:
-        """Close the last shard and write its index."""
-        if self._fd >= 0:
-            self._finish()
-
-    def __enter__(self) -> PackWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _begin(self) -> None:
-        """Make the next shard, whatever other writers make at the same time."""
-        numbers = [
-            int(name.removeprefix("shard-").removesuffix(SHARD))
-            for name in os.listdir(self.path)
-            if _NAME.match(name)
-        ]
-        number = max(numbers, default=-1) + 1
-        while True:
-            self._shard = self.path / f"shard-{number:06d}{SHARD}"
-            try:
-                with translated(self._shard, "create the file"):
-                    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
-                    self._fd = os.open(self._shard, flags, 0o666)
-                break
-            except StorageError as error:
-                if getattr(error.__cause__, "errno", 0) != errno.EEXIST:
-                    raise
-                number += 1
-        self._members, self._at, self._synced = [], 0, 0
-
-    def _finish(self) -> None:
-        with translated(self._shard, "write"):
-            _write_all(self._fd, bytes(2 * _BLOCK))  # how a tar archive ends
-            os.fsync(self._fd)
-            os.close(self._fd)
-        self._fd = -1
-        name = self._shard.name.removesuffix(SHARD) + INDEX
-        Folder(self.path).create(name, encode_index(self._members))
-
-
 def is_shard(name: str) -> bool:
     """Whether a file of this name is a shard of a pack."""
     return _NAME.match(name) is not None
@@ -339,21 +227,6 @@ def decode_index(data: bytes, where: str) -> Index:
         start, size, digest, mtime, name = line.split(" ", 4)
         members.append(Member(int(start), int(size), digest, int(mtime), name))
     return Index(tuple(members), 0)
-
-
-def _head(name: str, size: int, mtime: int) -> bytes:
-    """The tar header of a file, the same for the same file whoever packs it."""
-    if "\n" in name or "\0" in name or name.startswith("/"):
-        raise StorageError(f"{name!r}: a member's name must be relative and of one line")
-    info = tarfile.TarInfo(name)
-    info.size, info.mtime = size, mtime
-    return info.tobuf(tarfile.PAX_FORMAT)
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(fd, view) :]
 
 
 def members_of(pack: Pack) -> Iterator[tuple[str, Member]]:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coordlog.episode import CONTACT, INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
+from coordlog.episode import CONTACT, INITIAL_STATE, Array, Episode
 from coordlog.errors import CoordlogError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.record.opening import File
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.sim.replay import Log, Trace, exact_here, replay
@@ -77,9 +77,9 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
 
 def _load(path: File) -> tuple[Episode, Log]:
     episode, attached = read_episode(path), read_attachments(path)
-    model = load_model(attached.get(MODEL_XML), attached.get(MODEL_MJB))
+    model = load_attached(attached)
     start = np.frombuffer(attached.get(INITIAL_STATE, b""), dtype=np.float64)
-    return episode, Log(episode.header, model, start, episode.action)
+    return episode, Log.of(episode, model, start)
 
 
 def _replay_each(

@@ -12,14 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordlog.errors import FormatError, StorageError
-from coordlog.record.packs import (
-    Member,
-    Pack,
-    PackWriter,
-    decode_index,
-    encode_index,
-    members_of,
-)
+from coordlog.record.pack_writer import PackWriter
+from coordlog.record.packs import Member, Pack, decode_index, encode_index, members_of
 from coordlog.record.places import Folder
 
 NAMES = st.text(
