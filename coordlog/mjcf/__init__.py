@@ -17,6 +17,7 @@ from coordlog.mjcf.attached import (
 from coordlog.mjcf.compose import compose, with_radii
 from coordlog.mjcf.printing import Source, compile_model
 from coordlog.mjcf.servos import actuator_label, held_controls, servos_of
+from coordlog.mjcf.source import model_alone
 
 __all__ = [
     "ASSETS",
@@ -29,6 +30,7 @@ __all__ = [
     "is_plain_model",
     "load_attached",
     "load_model",
+    "model_alone",
     "pack_source",
     "self_contained",
     "servos_of",

@@ -30,6 +30,7 @@ from coordlog.record.files import Skipped, find_files
 from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import probe, read_episode
+from coordlog.record.recording import Recording
 from coordlog.spec import STEP_INDEX, before
 
 _T = TypeVar("_T")
@@ -112,6 +113,11 @@ class Dataset(Sequence[Episode]):
             FormatError: if a file is damaged, and they are not to be skipped.
         """
         return self._table(_final_batch)
+
+    def recordings(self) -> Iterator[Recording]:
+        """Each episode as a recording, which reads its file when something is asked of it."""
+        for path in self.paths:
+            yield Recording(path)
 
     def attempt(self, path: Path, read: Callable[[Path], _T]) -> _T | None:
         """What `read` made of a file.
