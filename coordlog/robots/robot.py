@@ -16,7 +16,6 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
 
-
 _SPEC = ("name", "arms", "shared", "soles", "torso", "poses", "centre", "reach")
 
 
