@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
-from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.episode import Array
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.avoidance import farthest
@@ -27,6 +26,7 @@ from coordlog.sim.rollout import Policy
 from coordlog.sim.tracking import Drive, Run
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
+from coordlog.smooth.recorded import FASTER, fastest_of
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness

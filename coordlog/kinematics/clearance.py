@@ -98,6 +98,13 @@ class SceneChecker:
 
         Balance is one more pair after them.
         """
+        slides = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_SLIDE
+        self.units: tuple[str, ...] = tuple("m" if slide else "rad" for slide in slides)
+        """Unit of each action joint."""
+        self.continuous: tuple[int, ...] = tuple(
+            np.flatnonzero(~slides & (model.jnt_limited[self._joints] == 0)).tolist()
+        )
+        """Which of the action joints turn without end."""
         self.inverse = Inverse(self._model, self._logged, self._footing)
         self.reach: Array = found.change[:, self._joints]
         """Metres by which a radian of each action joint changes the distance of each pair, at most,
@@ -117,18 +124,28 @@ class SceneChecker:
         Raises:
             FormatError: if the model or the first state is missing, damaged, or not the episode's.
         """
+        model = cls.model_of(episode, attachments)
+        initial = np.frombuffer(attachments[INITIAL_STATE], dtype="<f8")
+        robot = Robot.from_json(episode.header.env["robot"])
+        config = build(EnvConfig, episode.header.env["config"])
+        return cls(model, robot, config, time=episode.time, qpos=episode.qpos, initial=initial)
+
+    @staticmethod
+    def model_of(episode: Episode, attachments: Mapping[str, bytes]) -> mujoco.MjModel:
+        """Compile the model of a recorded episode.
+
+        Raises:
+            FormatError: if the model or the first state is missing, damaged, or not the episode's.
+        """
         model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
         initial = np.frombuffer(attachments.get(INITIAL_STATE, b""), dtype="<f8")
         wanted = mujoco.mj_stateSize(model, STATE)
         if initial.shape != (wanted,) or model.nq != episode.qpos.shape[1]:
             raise FormatError(
-                f"attached model and state: expected {wanted} numbers and nq = {episode.qpos.shape[1]}, got {initial.size}, {model.nq}"
+                f"attached model and state: expected {wanted} numbers and "
+                f"nq = {episode.qpos.shape[1]}, got {initial.size}, {model.nq}"
             )
-        robot, config = (
-            Robot.from_json(episode.header.env["robot"]),
-            build(EnvConfig, episode.header.env["config"]),
-        )
-        return cls(model, robot, config, time=episode.time, qpos=episode.qpos, initial=initial)
+        return model
 
     def check(self, time: Array, q: Array, clearance: float) -> Verdict:
         """Judge n configurations of the action joints, q (n, n_u) [rad] at `time` (n,) [s].
@@ -206,11 +223,20 @@ class SceneChecker:
     def nearest(self, time: Array, q: Array) -> float:
         """Least distance of any pair that keeps a clearance, over n configurations [m].
 
-        No more than NEAR.
+        No more than NEAR. The engine lists what is nearer than the least distance found so far.
         """
-        if not self._keep.any():
-            return NEAR
-        return min(NEAR, float(self.slack(time, q, 0.0)[:, : len(self.pairs)][:, self._keep].min()))
+        model, data, least = self._model, self._data, NEAR
+        for row in self._logged.whole(time, q):
+            data.qpos[:] = row
+            model.geom_margin[:] = least
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            if data.ncon:
+                contact = data.contact
+                pair = self._index[contact.geom[:, 0], contact.geom[:, 1]]
+                counts = (pair >= 0) & self._keep[pair]
+                least = min(least, float(contact.dist[counts].min(initial=least)))
+        return least
 
     def describe(self, what: int) -> str:
         """Name a pair."""

@@ -182,13 +182,23 @@ def read_attachments(path: File) -> dict[str, bytes]:
     Raises:
         FormatError: if the file is not a coordlog episode, or an attachment is damaged.
     """
-    data = memoryview(load(path))
+    data = load(path)
     with naming(path):
-        found = [
-            unpack_attachment(data[span.start : span.end])
-            for span in walk(data)
-            if span.opcode == Opcode.ATTACHMENT
-        ]
+        return attachments_of(data)
+
+
+def attachments_of(content: bytes) -> dict[str, bytes]:
+    """The attachments in the bytes of a file, by name; CRCs verified.
+
+    Raises:
+        FormatError: if one is damaged.
+    """
+    data = memoryview(content)
+    found = [
+        unpack_attachment(data[span.start : span.end])
+        for span in walk(data)
+        if span.opcode == Opcode.ATTACHMENT
+    ]
     return dict(found)
 
 

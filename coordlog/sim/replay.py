@@ -89,13 +89,17 @@ def replay(logs: Sequence[Log], *, threads: int = 1) -> list[Trace]:
 
 
 def task_of(log: Log) -> Task:
-    """The task a log was recorded in, rebuilt from its header and model."""
-    env = log.header.env
-    config, reward = (
-        build(EnvConfig, env["config"]),
-        build(RewardConfig, env["reward"]),
-    )
-    return Task(Robot.from_json(env["robot"]), log.model, config, reward)
+    """The task a log was recorded in, rebuilt from its header and model; the last one is kept."""
+    global _last
+    if _last is None or _last[0] is not log.header or _last[1] is not log.model:
+        env = log.header.env
+        config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
+        task = Task(Robot.from_json(env["robot"]), log.model, config, reward)
+        _last = log.header, log.model, task
+    return _last[2]
+
+
+_last: tuple[Header, mujoco.MjModel, Task] | None = None
 
 
 def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:

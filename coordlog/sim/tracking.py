@@ -86,6 +86,7 @@ def run(log: Log, act: Callable[[int, Drive], Array], *, steps: int | None = Non
     simulation, ids = Simulation(task, physics, n=1), np.array([0])
     physics.rows[0] = _fitting(log)
     simulation.begin(ids, log.model.geom_size[task.sphere_geoms, 0][None])
+    works = physics.torque  # bound before the first step: a later binding begins with zeros
     drive = Drive(task, physics.ctrl[0])
     before: dict[str, list[Array]] = {
         name: [getattr(simulation, name)[0].copy()] for name in BEFORE
@@ -104,7 +105,7 @@ def run(log: Log, act: Callable[[int, Drive], Array], *, steps: int | None = Non
         rows["step"] = len(actions)
         contacts.append(rows)
         actions.append(action)
-        torque.append(physics.torque[0, task.servos].copy())
+        torque.append(works[0, task.servos].copy())
         for name in BEFORE:
             before[name].append(getattr(simulation, name)[0].copy())
         for name in LED_TO:
@@ -135,6 +136,29 @@ def targets(log: Log) -> Array:
         drive.step(action)
         found.append(drive.target.copy())
     return np.stack(found)
+
+
+def torques(log: Log, wanted: Array) -> Array:
+    """Torques of the action joints at the end of each logged step, (T, n_u) [Nm].
+
+    The physics alone: nothing is observed, and no task decides.
+
+    Args:
+        log: Model and first state.
+        wanted: Servo targets as from `targets`.
+    """
+    task, model, data = task_of(log), log.model, mujoco.MjData(log.model)
+    mujoco.mj_setState(model, data, _fitting(log), STATE)
+    found = np.empty((len(wanted) - 1, len(task.servos)))
+    before = data.ctrl.copy()
+    for step in range(len(found)):
+        after = before.copy()
+        after[task.servos] = wanted[step + 1]
+        for k in range(task.substeps):
+            data.ctrl[:] = before + (after - before) * ((k + 1.0) / task.substeps)
+            mujoco.mj_step(model, data)
+        found[step], before = data.actuator_force[task.servos], after
+    return found
 
 
 def _fitting(log: Log) -> Array:

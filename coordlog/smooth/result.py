@@ -38,19 +38,23 @@ class Violation(NamedTuple):
     what: str
     """The pair as the checker describes it, or the joint."""
     depth: float
-    """By how much: m for contact and motion, otherwise rad, rad/s, rad/s²."""
+    """By how much: m for contact and motion, otherwise the unit of the joint, per s, per s²."""
+    unit: str = "rad"
+    """rad or m."""
 
     def __str__(self) -> str:
         """As part of a sentence."""
         if self.kind == "unproven":
             return f"{self.what} at {self.time:.3f} s, too close to be proven free"
-        unit = {"contact": "m too close", "range": "rad out of range", "speed": "rad/s too fast"}
-        unit |= {
-            "acceleration": "rad/s² too much acceleration",
-            "deviation": "rad too far from the log",
+        words = {
+            "contact": "m too close",
+            "range": f"{self.unit} out of range",
+            "speed": f"{self.unit}/s too fast",
+            "acceleration": f"{self.unit}/s² too much acceleration",
+            "deviation": f"{self.unit} too far from the log",
             "motion": "m too close while moving",
         }
-        return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {unit[self.kind]}"
+        return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {words[self.kind]}"
 
 
 @dataclass(frozen=True, eq=False)

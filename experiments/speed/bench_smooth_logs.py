@@ -30,7 +30,6 @@ from scipy.spatial import ConvexHull
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.episode import INITIAL_STATE, MODEL_XML
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.mjcf import load_model
@@ -42,7 +41,8 @@ from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
 from coordlog.smooth.knots import clean
 from coordlog.smooth.limits import Limits
-from coordlog.smooth.load import PathLoad
+from coordlog.smooth.metrics import PathLoad
+from coordlog.smooth.recorded import FASTER, fastest_of
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.scene import sole_corner
 from tests.plain import BOX, Plain, between, rotate, to_shape
