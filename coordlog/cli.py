@@ -13,7 +13,23 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from coordlog.commands import check, info, plot, record, recover, scenes, smooth, train, view
+from coordlog.commands import (
+    check,
+    diff,
+    export,
+    index,
+    info,
+    pack,
+    plot,
+    query,
+    record,
+    recover,
+    scenes,
+    select,
+    smooth,
+    train,
+    view,
+)
 from coordlog.commands.terminal import err
 from coordlog.errors import EXIT_INTERRUPTED, CoordlogError, missing_extra
 from coordlog.version import __version__
@@ -35,6 +51,13 @@ app.command("smooth")(smooth.smooth)
 app.command("plot")(plot.plot)
 app.command("view")(view.view)
 app.command("scenes")(scenes.scenes)
+app.command("export")(export.export)
+app.command("index")(index.index)
+app.command("query")(query.query)
+app.command("select")(select.select)
+app.command("diff")(diff.diff)
+app.command("pack")(pack.pack)
+app.command("unpack")(pack.unpack)
 
 
 def _version(wanted: bool) -> None:

@@ -73,8 +73,9 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
 
     Args:
         scene: What to build.
-        config: Decides whether the zero-moment point's and the last links' sensors are needed.
-        radii: Radii of the spheres [m]; without them the scene's largest.
+        config: Decides whether the zero-moment point's and the last links' sensors are needed, and
+            how much larger panels are.
+        radii: Radii of the spheres as simulated [m]; without them the scene's largest.
 
     Raises:
         ConfigError: if the robot's model is no XML, or lacks something its spec names.
@@ -113,13 +114,14 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> s
             friction="0.8 0.005 0.0001",
         )
     for panel in scene.panels:
+        half = tuple(extent + config.inflate for extent in panel.half)
         ET.SubElement(
             world,
             "geom",
             name=panel.name,
             type="box",
             pos=_numbers(panel.centre),
-            size=_numbers(panel.half),
+            size=_numbers(half),
             rgba="0.62 0.45 0.30 1",
         )
     _mocap_bodies(world, scene, radii)

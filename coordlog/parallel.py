@@ -1,17 +1,33 @@
-"""One function over many items, on several processes: every command that maps over episodes comes
-through here.
+"""One function over many items, on several processes or a cluster: every command that maps over
+episodes comes through here.
+
+`jobs` is a number of processes on this machine, "ray" for the Ray cluster that this machine belongs
+to (or one of its own), or "ray://HOST:PORT". Answers come in the order of the items and do not
+depend on who worked them out.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from coordlog.errors import ConfigError, CoordlogError
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
+
+RAY = "ray"
+RETRIES = 3
+"""How often an item is begun again on a cluster after the process that had it died."""
+JOBS_HELP = "Processes, 0 for one per core; ray or ray://HOST:PORT for a cluster."
+SHARD_HELP = "The I-th of N equal shares of the work, 1/N to N/N: one for each job of an array."
+
+_IN_FLIGHT = 4  # items per core of a cluster that are handed out at a time
 
 
 def batches(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
@@ -19,22 +35,69 @@ def batches(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
     return [items[i : i + size] for i in range(0, len(items), size)]
 
 
+def shard(items: Sequence[Item], text: str) -> Sequence[Item]:
+    """One of n shares of the items, named "i/n" with i from 1; "" for all of them.
+
+    Raises:
+        ConfigError: if it is no such share.
+    """
+    if not text:
+        return items
+    first, slash, second = text.partition("/")
+    if not slash or not first.isdecimal() or not second.isdecimal():
+        raise ConfigError(f"--shard: expected I/N, such as 1/8, got {text}")
+    i, n = int(first), int(second)
+    if not 1 <= i <= n:
+        raise ConfigError(f"--shard: expected I from 1 to N, got {text}")
+    return items[i - 1 :: n]
+
+
+def workers(jobs: int | str) -> int | str:
+    """What `--jobs` means: a number of processes, or the address of a cluster.
+
+    Raises:
+        ConfigError: if it is neither.
+    """
+    text = str(jobs).strip()
+    if text.isdecimal():
+        return int(text)
+    if text == RAY or (text.startswith(f"{RAY}://") and len(text) > len(f"{RAY}://")):
+        return text
+    raise ConfigError(
+        f"--jobs: expected a number of processes, {RAY}, or {RAY}://HOST:PORT, got {jobs}"
+    )
+
+
 def mapped(
-    function: Callable[[Item], Answer], items: Sequence[Item], *, jobs: int
+    function: Callable[[Item], Answer], items: Sequence[Item], *, jobs: int | str
 ) -> Iterator[Answer]:
     """Answers in the order of the items, each as soon as it and those before it are there.
 
     Args:
-        function: A module-level function: it is sent to fresh processes.
+        function: A module-level function: it is sent to fresh processes. On a cluster it may be
+            called twice with an item, where a process died: what it writes must be the same.
         items: What to call it with.
-        jobs: Processes; 0 for one per core. A single job, or a single item, runs right here.
+        jobs: Processes, 0 for one per core; or a cluster, see `workers`. A single process, or a
+            single item, runs right here.
+
+    Raises:
+        ConfigError: if `jobs` is none, or the cluster cannot be reached.
+
+    Example:
+        >>> list(mapped(abs, [-1, 2], jobs=1))
+        [1, 2]
     """
-    jobs = min(jobs or os.cpu_count() or 1, len(items))
-    if jobs <= 1:
+    wanted = workers(jobs)
+    if isinstance(wanted, str):
+        yield from _on_ray(function, items, wanted)
+        return
+    count = min(wanted or os.cpu_count() or 1, len(items))
+    if count <= 1:
         yield from map(function, items)
         return
-    # Fresh processes, not forks: a fork would inherit the threads of a progress bar in an unknown state.
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    # Fresh processes, not forks: a fork would inherit the threads of a progress bar in an unknown
+    # state.
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
         futures = [pool.submit(function, item) for item in items]
         try:
             for future in futures:
@@ -42,3 +105,81 @@ def mapped(
         finally:
             for future in futures:
                 future.cancel()
+
+
+def _on_ray(
+    function: Callable[[Item], Answer], items: Sequence[Item], address: str
+) -> Iterator[Answer]:
+    """As `mapped`, by tasks of Ray."""
+    with _cluster(address) as ray:
+        task = ray.remote(max_retries=RETRIES, num_cpus=1)(_called)
+        window = _IN_FLIGHT * max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        kept = ray.put(function)
+        pending: deque[Any] = deque()
+        waiting = iter(items)
+        try:
+            while True:
+                while len(pending) < window and (item := next(waiting, _END)) is not _END:
+                    pending.append(task.remote(kept, item))
+                if not pending:
+                    return
+                yield _answer(ray, pending.popleft())
+        finally:
+            for reference in pending:
+                ray.cancel(reference, force=False)
+
+
+_END: Any = object()
+
+
+def _called(function: Callable[[Item], Answer], item: Item) -> Answer:
+    return function(item)
+
+
+def _answer(ray: Any, reference: Any) -> Any:
+    """The answer of a task, or the error that the function raised."""
+    try:
+        return ray.get(reference)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None
+    except ray.exceptions.RayError as error:
+        raise CoordlogError(
+            f"--jobs ray: a task was begun {RETRIES + 1} times and its process died each time:"
+            f" {str(error).splitlines()[0]}"
+        ) from None
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Any]:
+    """A connection to a cluster, or one of our own on this machine."""
+    try:
+        import ray
+        import ray.exceptions
+    except ImportError:
+        raise ConfigError(
+            "--jobs ray: Ray is not installed: pip install 'coordlog[cluster]'"
+        ) from None
+    if ray.is_initialized():
+        yield ray
+        return
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    quiet: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
+    try:
+        if address == RAY:
+            local: dict[str, Any] = {} if os.environ.get("RAY_ADDRESS") else _ALONE
+            ray.init(**local, **quiet)
+        else:
+            ray.init(address, **quiet)
+    except Exception as error:  # noqa: BLE001 - Ray raises whatever its transport does
+        raise ConfigError(
+            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head needs"
+            f" Ray {ray.__version__}, as here, and the same Python"
+        ) from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+_ALONE: dict[str, Any] = {"address": "local", "include_dashboard": False, "_node_ip_address": "127.0.0.1"}

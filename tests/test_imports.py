@@ -37,7 +37,7 @@ PHYSICS = {"mjcf", "kinematics", "sim", "policies", "exchange", "verify"}
 OWNERS = {
     "torch": {"train"},
     "rerun": {"view"},
-    "mcap": {"record", "verify"},
+    "mcap": {"record", "verify", "exchange"},
     "rosbags": {"exchange"},
     "h5py": {"exchange"},
     "av": {"exchange"},

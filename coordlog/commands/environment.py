@@ -62,6 +62,16 @@ def scene_of(name: str) -> Scene:
     return own
 
 
+def true_scene(env: Json) -> Json:
+    """A `coordlog.env` record without what made training easier: the scene as it is judged."""
+    from coordlog.tasks.config import TRAINING_ONLY
+
+    return {
+        **env,
+        "config": {key: value for key, value in env["config"].items() if key not in TRAINING_ONLY},
+    }
+
+
 def make_env(
     scene: Scene | str,
     tables: Mapping[str, Any],
@@ -72,7 +82,8 @@ def make_env(
     like: Json | None = None,
     doubts: bool = True,
 ) -> BatchEnv:
-    """The batched environment that the options describe; doubtful reward constants are said aloud.
+    """The batched environment that the options describe; doubtful reward constants of a
+    configuration are said aloud.
 
     Args:
         scene: What to simulate, or the name of one that ships.
@@ -97,10 +108,10 @@ def make_env(
             raise unknown("table", name, TABLES)
     before = like or {"config": {}, "reward": {}}
     reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
-    if doubts and "reward" in tables:
-        for doubt in reward.doubts():
-            note(doubt)
     constants = build(EnvConfig, before["config"] | tables.get("env", {}))
+    if doubts and "reward" in tables:
+        for doubt in reward.doubts(steps=constants.max_steps):
+            note(doubt)
     return BatchEnv(
         find(scene) if isinstance(scene, str) else scene,
         constants,

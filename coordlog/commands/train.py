@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import uuid
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import TABLES, make_env, read_toml, scene_of
+from coordlog.commands.environment import TABLES, read_toml, scene_of, true_scene
 from coordlog.commands.logs import load_logs
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
@@ -41,7 +40,12 @@ def train(
     where: Annotated[
         str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")
     ] = "",
-    preset: Annotated[str, typer.Option(help="default, or paper: as printed there.")] = "default",
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="default, live, or paper: as printed there. Without a word, live if there are no logs, else default."
+        ),
+    ] = "",
     config: Annotated[
         Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")
     ] = None,
@@ -58,7 +62,13 @@ def train(
             min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn."
         ),
     ] = None,
-    steps: Annotated[int | None, typer.Option(min=0, help="Live environment steps.")] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Live environment steps; by default the preset's.")
+    ] = None,
+    start: Annotated[
+        str,
+        typer.Option(help="Start pose of the robot; evaluations begin in stand and home as well."),
+    ] = "stand",
     hindsight: Annotated[
         float | None,
         typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1."),
@@ -104,7 +114,9 @@ def train(
 
         coordlog train --from logs/table --updates 10000
 
-        coordlog train --scene free --steps 600000
+        coordlog train --scene table
+
+        coordlog train --scene free --steps 600000 --preset paper
 
         coordlog train --from logs/spheres --live --steps 100000 --set behaviour.final=1.0
 
@@ -113,16 +125,22 @@ def train(
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import (
+        EVALUATION_ENVS,
+        RANK,
         Judge,
         Progress,
         assemble,
+        evaluation_envs,
+        practising,
         record_training,
         require_window,
+        tell_doubts,
         watch,
     )
     from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
+    from coordlog.train.settings import surroundings
     from coordlog.train.task import Hooks
 
     given = {
@@ -141,6 +159,7 @@ def train(
         if steps and updates is None and "updates" not in tables.get("loop", {})
         else []
     )
+    preset = preset or _preset(out if resume else None, live=not source)
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
     logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
     mode = ("both" if live else "logs") if logs else "live"
@@ -154,24 +173,24 @@ def train(
     )
     scene = place.name
     folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
-    like = logs.env(0) if logs else None
-    env = make_env(
-        place,
-        around,
-        start="stand",
-        envs=envs,
-        threads=max(1, (os.cpu_count() or 2) - 1),
-        like=like,
+    like = true_scene(logs.env(0)) if logs else surroundings(preset)
+    judged = evaluation_envs(
+        place, around, like, start=start, envs=min(EVALUATION_ENVS, eval_episodes)
     )
-    said = _said(scene, mode, env, wanted, logs, envs=envs, where=where)
-    if like:
-        require_alike(like, said["env"], where=f"scene '{scene}'")
+    said = _said(scene, mode, judged[""], wanted, logs, envs=envs, where=where) | {
+        "preset": preset,
+        "start": start,
+    }
+    if logs:
+        require_alike(logs.env(0), said["env"], where=f"scene '{scene}'")
+    if mode != "logs" and "reward" in around:
+        tell_doubts(judged[""], wanted)
     if view:
         require_window()
     if tensorboard:
         require_tensorboard()
     run = _named(folder, said, wanted, resume=resume)
-    if like and like["reward"] != said["env"]["reward"]:
+    if logs and like["reward"] != said["env"]["reward"]:
         terminal.note(
             "rewards are recomputed from logged distances and flags: the logs were recorded with other constants"
         )
@@ -182,19 +201,31 @@ def train(
         show = Progress(
             stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events
         )
-        judge = Judge(place, around, like, folder, run=run, episodes=eval_episodes, window=window)
-        recorder = (
-            stack.enter_context(record_training(env, folder, run=run)) if mode != "logs" else None
-        )
-        hooks = Hooks(evaluate=judge, on_row=show, should_stop=lambda: bool(interrupted))
+        judge = Judge(judged, folder, run=run, episodes=eval_episodes, window=window)
+        recorder = None
+        if mode != "logs":
+            simulated = practising(place, around, like, wanted, start=start, envs=envs)
+            recorder = stack.enter_context(record_training(simulated, folder, run=run))
+        hooks = Hooks(evaluate=judge, rank=RANK, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(
-            folder, wanted, env, logs, recorder, hooks=hooks, said=said, device=device
+            folder, wanted, judged[""], logs, recorder, hooks=hooks, said=said, device=device
         )
         if not resume:
             _begin(folder, {**said, "recorder": run}, logs)
         outcome = trainer.run(resume=resume and _has_checkpoint(folder))
     again = f" --scene {asked}" if ":" in asked else ""
     _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
+
+
+def _preset(resumed: Path | None, *, live: bool) -> str:
+    """The preset of a run that names none: that of the run it goes on with, or by whether it learns
+    from live steps alone.
+    """
+    from coordlog.train import run as runs
+
+    if resumed is not None:
+        return str(runs.recall(resumed).get("preset", "default"))
+    return "live" if live else "default"
 
 
 def _around(

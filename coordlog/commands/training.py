@@ -5,20 +5,25 @@ that are recorded, progress.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.progress import Progress as Bar
 
 from coordlog.commands.environment import make_env
+from coordlog.commands.terminal import note
 from coordlog.policies.learned import Policy
 from coordlog.record.cache import Logs
 from coordlog.record.dataset import SUFFIX
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Recorder
-from coordlog.sim.scoring import evaluate, figures
+from coordlog.sim.scoring import Scoreboard, figures, judged
 from coordlog.train.bind import FARTHEST, task_of
 from coordlog.train.events import EventFiles
 from coordlog.train.live import Simulations
@@ -37,6 +42,15 @@ if TYPE_CHECKING:
 SEED = 0
 """Evaluations are on the problems of this seed and the split "test", which no training sees."""
 EVALUATION_ENVS = 32
+DOUBTED = 32
+"""Problems whose palms' distance from their goals is what standing still is taken to cost."""
+RANK = ("clean", "overall", "score")
+"""The best policy is the cleanest from the start pose asked for.
+
+Among equals the one cleanest from all.
+"""
+STARTS = ("stand", "home")
+"""Poses that evaluations begin in, as far as the robot has them."""
 
 
 def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
@@ -50,45 +64,120 @@ def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
     return Recorder(env, folder / "episodes" / "train", policy=policy, display=False, run=run)
 
 
+def evaluation_envs(
+    scene: Scene | str, tables: Mapping[str, Any], like: Json | None, *, start: str, envs: int
+) -> dict[str, BatchEnv]:
+    """The true scene from every start pose that is judged, by the prefix of its figures: none for
+    `start`, "home_" for home.
+
+    Args:
+        scene: What to judge in, or the name of a scene that ships.
+        tables: Tables "env" and "reward" of constants.
+        like: A `coordlog.env` record whose constants hold where the tables say nothing.
+        start: The first pose; the robot's others in STARTS follow.
+        envs: Simulations at once.
+    """
+    make = partial(make_env, scene, tables, envs=envs, threads=0, like=like, doubts=False)
+    first = make(start=start)
+    others = [pose for pose in STARTS if pose != start and pose in first.scene.robot.poses]
+    return {"": first, **{f"{pose}_": make(start=pose) for pose in others}}
+
+
+def practising(
+    scene: Scene,
+    tables: Mapping[str, Any],
+    like: Json,
+    settings: Settings,
+    *,
+    start: str,
+    envs: int,
+) -> BatchEnv:
+    """The environment that live steps are taken in: with what makes training easier (section
+    [train]).
+    """
+    easier = {**tables, "env": {**asdict(settings.train), **tables.get("env", {})}}
+    return make_env(
+        scene,
+        easier,
+        start=start,
+        envs=envs,
+        threads=max(1, (os.cpu_count() or 2) - 1),
+        like=like,
+        doubts=False,
+    )
+
+
+def tell_doubts(env: BatchEnv, settings: Settings) -> None:
+    """Say which reward constants might teach the wrong thing at this run's discount, from where its
+    episodes begin.
+    """
+    problems = [env.problem(seed=SEED, split="train", index=index) for index in range(DOUBTED)]
+    standing = [
+        np.linalg.norm(problem.goals - env.draw.reach.palms(problem.angles), axis=1).mean()
+        for problem in problems
+    ]
+    for doubt in env.task.reward.doubts(
+        gamma=settings.learner.gamma,
+        steps=env.task.config.max_steps,
+        farthest=float(np.mean(standing)),
+    ):
+        note(doubt)
+
+
 class Judge:
-    """Evaluates a policy on held-out problems; the episodes are recorded like any other."""
+    """Evaluates a policy on held-out problems of the true scene, from several start poses.
+
+    The episodes are recorded like any other.
+    """
 
     def __init__(
         self,
-        scene: Scene | str,
-        tables: Mapping[str, Any],
-        like: Json | None,
+        envs: Mapping[str, BatchEnv],
         folder: Path,
         *,
         run: str,
         episodes: int,
         window: Live | None = None,
     ) -> None:
-        self._run, self._window = run, window
-        self._env = make_env(
-            scene,
-            tables,
-            start="stand",
-            envs=min(EVALUATION_ENVS, episodes),
-            threads=0,
-            like=like,
-            doubts=False,
-        )
-        self._folder, self._episodes = folder, episodes
+        """Write nothing yet.
 
-    def __call__(self, policy: Policy, updates: int) -> dict[str, float]:
-        """Figures of merit after so many updates; see `scoring.figures`.
+        Args:
+            envs: What to judge in, as `evaluation_envs` makes them.
+            folder: The run folder.
+            run: Name of the run, for its recordings.
+            episodes: Problems per start pose.
+            window: Where evaluations are shown, if anywhere.
+        """
+        self._envs, self._run, self._window, self._folder, self._episodes = (
+            envs,
+            run,
+            window,
+            folder,
+            episodes,
+        )
+
+    def __call__(self, policy: Policy, updates: int) -> dict[str, float | str]:
+        """Figures of merit after so many updates: those of `scoring.figures` per start pose, and
+        "overall", the mean of their clean rates.
 
         What a killed run had recorded of them is not recorded twice.
         """
-        said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
         folder = self._folder / "episodes" / f"eval-{updates:07d}"
-        weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
-        run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
-        with Recorder(self._env, folder, policy=said, display=False, run=run) as recorder:
-            scores = evaluate(
-                recorder, policy, episodes=self._episodes, k=self._env.layout.k, seed=SEED
+        boards = {
+            prefix: self._judge(
+                prefix, policy, updates, folder.with_name(folder.name + suffix(prefix))
             )
+            for prefix in self._envs
+        }
+        found: dict[str, float | str] = {}
+        for prefix, board in boards.items():
+            found |= {prefix + name: value for name, value in figures(board.scores).items()}
+        found["overall"] = sum(float(found[f"{prefix}clean"]) for prefix in boards) / len(boards)
+        touches = boards[""].touches.most_common(1)
+        model = self._envs[""].task.model
+        found["touched"] = (
+            " and ".join(model.geom(geom).name for geom in touches[0][0]) if touches else ""
+        )
         if self._window is not None:
             from coordlog.view.show import Show
 
@@ -97,7 +186,23 @@ class Judge:
                 updates,
                 [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths],
             )
-        return figures(scores)
+        return found
+
+    def _judge(self, prefix: str, policy: Policy, updates: int, folder: Path) -> Scoreboard:
+        """One evaluation from one start pose, recorded."""
+        env = self._envs[prefix]
+        said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
+        weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
+        run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
+        with Recorder(env, folder, policy=said, display=False, run=run) as recorder:
+            return judged(recorder, policy, episodes=self._episodes, k=env.layout.k, seed=SEED)
+
+
+def suffix(prefix: str) -> str:
+    """What the folder of an evaluation from another start pose is called after: "home_" →
+    "-home".
+    """
+    return f"-{prefix.rstrip('_')}" if prefix else ""
 
 
 def require_window() -> None:
@@ -143,9 +248,13 @@ class Progress:
     def __call__(self, row: Row) -> None:
         """Take in a row of metrics."""
         if row["kind"] == "evaluation":
-            self._note["held-out"] = (
-                f"clean {float(row['clean'] or 0):.0%} score {float(row['score'] or 0):.2f}"
+            rates = "  ".join(
+                f"{name} {float(row[name] or 0):.0%}"
+                for name in ("clean", "success", "falls", "home_clean")
+                if name in row
             )
+            touched = f"  touches {row['touched']} first" if row.get("touched") else ""
+            self._note["held-out"] = f"{rates.replace('home_clean', 'clean from home')}{touched}"
         elif row["kind"] == "training":
             rate = f"{float(row['updates_per_second'] or 0):.0f} updates/s"
             live = f", {float(row['steps_per_second'] or 0):,.0f} steps/s" if row["step"] else ""
@@ -163,7 +272,10 @@ class Progress:
 def curves(row: Row) -> dict[str, float]:
     """The points of a row of metrics, as "panel/curve"."""
     if row["kind"] == "evaluation":
-        panels = {"held-out": ("success", "clean", "collisions", "falls"), "score": ("score",)}
+        panels = {
+            "held-out": ("success", "clean", "collisions", "falls", "home_clean"),
+            "score": ("score",),
+        }
     else:
         panels = {
             "loss": ("critic_loss", "behaviour"),
@@ -193,7 +305,7 @@ def assemble(
     Args:
         folder: The run folder.
         settings: All constants.
-        env: What the task is, and where live steps are taken.
+        env: What the task is, without what makes training easier.
         logs: Logged episodes, or None.
         recorder: `env`, recorded, if there are live steps.
         hooks: Evaluation, progress, stop.

@@ -21,6 +21,7 @@ import pyarrow as pa
 
 from coordlog.episode import Array, Episode, Result
 from coordlog.errors import FormatError, SpecError, StorageError
+from coordlog.record.addresses import expand
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
 from coordlog.record.messages import decode_final, decode_steps
 from coordlog.record.metadata import (
@@ -68,6 +69,10 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
     paths: list[Path] = []
     parts: list[Path] = []
     for path in map(Path, given):
+        found = expand(path, search=lambda sources: find_files(sources).paths)
+        if found is not None:
+            paths += found.paths
+            continue
         if not path.exists():
             raise StorageError(f"{path}: no such file or folder")
         paths += _below(path, SUFFIX) if path.is_dir() else [path]

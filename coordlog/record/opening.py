@@ -5,6 +5,7 @@ words.
 from __future__ import annotations
 
 import os
+import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from coordlog.errors import FormatError, TruncatedError
+from coordlog.record.addresses import fetch, is_elsewhere
 from coordlog.record.records import FOOTER, MAGIC, TAIL_SIZE, Span, walk
 from coordlog.record.storage import translated
 
@@ -37,6 +39,12 @@ def opened(path: File) -> Iterator[int]:
         StorageError: if it cannot be read.
     """
     with naming(path), translated(Path(path), "read"):
+        if is_elsewhere(path):
+            with tempfile.TemporaryFile() as copy:
+                copy.write(fetch(path))
+                copy.flush()
+                yield copy.fileno()
+            return
         if os.path.isdir(path):
             raise FormatError("a folder, not an episode file; coordlog.open reads folders")
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -77,7 +77,7 @@ class BatchEnv:
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = settled(scene.robot, model, start)
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, model, config, standing=standing)
+        self.draw = Draw(scene, model, config, standing=standing, start=start)
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -113,7 +113,7 @@ class BatchEnv:
                 physics.mocap_pos[sim, self._object] = problem.centre
             if task.n_spheres:
                 physics.mocap_pos[sim, task.sphere_mocaps] = problem.spheres[:, :3]
-        radii = np.array([problem.spheres[:, 3] for problem in problems])
+        radii = np.array([problem.spheres[:, 3] for problem in problems]) + task.config.inflate
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
         self.simulation.begin(ids, radii)

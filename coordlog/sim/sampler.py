@@ -29,6 +29,17 @@ MIDDLE = 0.35
 that the posture is drawn from. Over the whole range most postures are only reached by way of
 others."""
 
+POSTURES = 100
+"""Random postures that are looked at before a start is left where it was."""
+SPREAD = 4.0
+"""Starts on the line between two poses are spread this many times further than those in a pose."""
+SHARED = 0.3
+"""Share of their way that shared joints of a robot on feet go towards a random posture: the spine
+carries half the mass."""
+TIGHT = 0.005
+"""Obstacles keep this far [m] from starts near postures that reach: goals are close to what holds
+them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Branch:
@@ -61,7 +72,13 @@ class Draw:
     """Draws the problems of one scene; owns the kinematic model that verifies them."""
 
     def __init__(
-        self, scene: Scene, model: mujoco.MjModel, config: EnvConfig, *, standing: Array
+        self,
+        scene: Scene,
+        model: mujoco.MjModel,
+        config: EnvConfig,
+        *,
+        standing: Array,
+        start: str = "stand",
     ) -> None:
         """Copy what is needed to verify draws.
 
@@ -70,10 +87,23 @@ class Draw:
             model: The scene's compiled model.
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
+            start: Name of that pose.
         """
         self._scene, self._config = scene, config
         self.reach = Reach(
             scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing
+        )
+        robot = scene.robot
+        self._poses = [
+            self.reach.angles_of(robot, pose)
+            for pose in robot.poses
+            if pose not in ("neutral", start)
+        ]
+        self._freedom = np.array(
+            [
+                SHARED if name in robot.shared and robot.soles else 1.0
+                for name in robot.action_joints
+            ]
         )
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
@@ -87,20 +117,57 @@ class Draw:
             raise unknown("split", split, SPLITS)
         rng = np.random.default_rng([seed, SPLITS[split], index])
         for _ in range(ATTEMPTS):
-            angles = self._start(rng)
+            angles = self._start(rng, split)
             spheres = self._spheres(rng)
             goals, centre = self._goals(rng)
             if self._feasible(goals, spheres, angles):
+                if (
+                    split == "train"
+                    and self._config.start_solved > 0
+                    and rng.random() < self._config.start_solved
+                ):
+                    angles = self._solved(rng, angles)
                 return Problem(seed, split, index, goals, centre, spheres, angles)
         raise SimulationError(
             f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})"
         )
 
-    def _start(self, rng: np.random.Generator) -> Array:
-        noise = rng.uniform(-1.0, 1.0, len(self.reach.limits)) * self._config.start_noise
-        return np.clip(
-            self.reach.standing_angles + noise, self.reach.limits[:, 0], self.reach.limits[:, 1]
-        )
+    def _start(self, rng: np.random.Generator, split: str) -> Array:
+        """The start pose and noise; of the split "train", a share elsewhere."""
+        config, (low, high) = self._config, self.reach.limits.T
+        noise = rng.uniform(-1.0, 1.0, len(low)) * config.start_noise
+        standing = self.reach.standing_angles
+        elsewhere = config.start_line + config.start_random if split == "train" else 0.0
+        kind = rng.random() if elsewhere > 0 else 1.0
+        if kind < config.start_line and self._poses:
+            pose = self._poses[rng.integers(len(self._poses))]
+            return np.clip(standing + rng.random() * (pose - standing) + SPREAD * noise, low, high)
+        if config.start_line <= kind < elsewhere:
+            for _ in range(POSTURES):
+                angles = standing + rng.random() * self._freedom * (
+                    rng.uniform(low, high) - standing
+                )
+                if self.reach.legal(angles, clearance=CLEARANCE):
+                    return np.asarray(angles)
+        return np.clip(standing + noise, low, high)
+
+    def _solved(self, rng: np.random.Generator, otherwise: Array) -> Array:
+        """A legal posture around one that reaches goals of another draw: a way back from where
+        others end (Florensa et al. 2017).
+        """
+        low, high = self.reach.limits.T
+        there = self.reach.solve(self._goals(rng)[0])
+        if there is None:
+            return otherwise
+        for _ in range(POSTURES):
+            angles = np.clip(
+                there + rng.random() ** 2 * self._freedom * (rng.uniform(low, high) - there),
+                low,
+                high,
+            )
+            if self.reach.legal(angles, clearance=TIGHT):
+                return np.asarray(angles)
+        return otherwise
 
     def _spheres(self, rng: np.random.Generator) -> Array:
         count, box = self._scene.spheres, self._scene.sphere_box

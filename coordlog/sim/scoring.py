@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -44,6 +45,8 @@ class Scoreboard:
 
     def __init__(self, n: int, k: int) -> None:
         self.scores: list[Score] = []
+        self.touches: Counter[tuple[int, int]] = Counter()
+        """Pairs of geom ids that touched first in an episode, and in how many."""
         self._length = np.zeros(n, dtype=np.int64)
         self._collided = np.zeros(n, dtype=bool)
         self._arrival = np.full((n, k), -1)
@@ -54,6 +57,10 @@ class Scoreboard:
         arrived = (self._arrival[ids] < 0) & outcome.goal
         self._arrival[ids] = np.where(arrived, self._length[ids, None], self._arrival[ids])
         self._length[ids] += 1
+        for row in np.flatnonzero(outcome.collision & ~self._collided[ids]):
+            contacts = outcome.contacts[row]
+            first = contacts[contacts["substep"].argmin()]
+            self.touches[int(first["geom1"]), int(first["geom2"])] += 1
         self._collided[ids] |= outcome.collision
         for row in np.flatnonzero(outcome.terminated | outcome.truncated | outcome.diverged):
             self.scores.append(self._ended(int(ids[row]), outcome, int(row)))
@@ -107,7 +114,14 @@ def evaluate(
     """Run a policy on the problems 0 … episodes - 1 of a seed and split, and score them, in the
     order they end.
     """
+    return judged(env, policy, episodes=episodes, k=k, seed=seed, split=split).scores
+
+
+def judged(
+    env: Env, policy: Policy, *, episodes: int, k: int, seed: int, split: str = "test"
+) -> Scoreboard:
+    """As `evaluate`, with what was touched first."""
     board = Scoreboard(env.n, k)
     for ids, outcome in rollout(env, policy, range(episodes), seed=seed, split=split):
         board.add(ids, outcome)
-    return board.scores
+    return board

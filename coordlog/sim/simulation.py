@@ -38,6 +38,7 @@ class Simulation:
         self.task, self.physics, self.n = task, physics, n
         self.steps: Array = np.zeros(n, dtype=np.int64)
         self.radii: Array = np.zeros((n, task.n_spheres))
+        """Of the spheres as simulated, (N, n_spheres) [m]."""
         self.state: Array = np.zeros((n, len(task.view)), dtype=np.float32)
         self._target = np.zeros((n, task.model.nu))
         self._velocity = np.zeros((n, len(task.servos)))
@@ -116,6 +117,7 @@ class Simulation:
 
     def _observe(self, ids: Array, sensors: Array) -> None:
         physics = self.physics
+        told = self.radii[ids] - self.task.config.inflate
         self.state[ids] = self.task.state(
-            physics.qpos[ids], physics.qvel[ids], sensors, physics.mocap_pos[ids], self.radii[ids]
+            physics.qpos[ids], physics.qvel[ids], sensors, physics.mocap_pos[ids], told
         )

@@ -11,6 +11,11 @@ from coordlog.errors import ConfigError, unknown
 
 BALANCE_CRITERIA = ("com", "com+zmp")
 STATE_EXTRAS = ("difference", "com", "nearness", "velocity")
+FATTEST = 0.02
+"""Obstacles grow by no more than this [m]: the clearance that drawn problems leave around goals and
+the start."""
+TRAINING_ONLY = ("start_line", "start_random", "start_solved", "inflate")
+"""Constants that make training easier and are zero wherever anything is judged."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,22 @@ class EnvConfig:
     locked: tuple[str, ...] = ()
     """Action joints that their servos hold at the start angle, whatever the action: state, action
     and problems stay the same."""
+    start_line: float = 0.0
+    """Share of the problems of the split "train" that begin on the joint line from the start pose
+    to another named one."""
+    start_random: float = 0.0
+    """Share of them that begin in a random posture which touches nothing and is balanced.
+
+    The others in the start pose.
+    """
+    start_solved: float = 0.0
+    """Share of all of them that begin near a posture which reaches the goals of another draw
+    instead."""
+    inflate: float = 0.0
+    """Obstacles are larger than the policy is told, by this much on every side [m].
+
+    For training alone.
+    """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state_extras", tuple(self.state_extras))
@@ -66,6 +87,17 @@ class EnvConfig:
             raise ConfigError(
                 f"smoothing: expected a number from 0 to below 1, got {self.smoothing}"
             )
+        for name in ("start_line", "start_random", "start_solved"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(
+                    f"{name}: expected a share from 0 to 1, got {getattr(self, name)}"
+                )
+        if self.start_line + self.start_random > 1:
+            raise ConfigError(
+                f"start_line + start_random: expected at most 1, got {self.start_line + self.start_random:g}"
+            )
+        if not 0 <= self.inflate <= FATTEST:
+            raise ConfigError(f"inflate: expected 0 to {FATTEST} m, got {self.inflate}")
         if self.max_steps < 1:
             raise ConfigError(f"max_steps: expected at least 1, got {self.max_steps}")
         if self.balance not in BALANCE_CRITERIA:
@@ -119,14 +151,16 @@ class RewardConfig:
         """Which constants might teach the wrong thing, one sentence each.
 
         Both conditions are sufficient, not necessary: S = (1 - γ^steps) / (1 - γ) discounted steps
-        of loitering must not beat finishing (κ ≥ (m1 + m2) S), and S steps at the farthest distance
-        must not be worse than falling (n2 ≥ (α d + n1) S).
+        of loitering must not beat finishing (κ ≥ (m1 + m2) S), and S steps of standing still, which
+        touches nothing, must not be worse than falling (n2 ≥ α d S).
+
+        Args:
+            gamma: Discount per step of the run.
+            steps: Steps of an episode; they stand for a time through the control period.
+            farthest: Distance of the palms from their goals while the robot stands still [m].
         """
         horizon = steps if gamma == 1 else (1 - gamma**steps) / (1 - gamma)
-        loitering, standing = (
-            (self.m1 + self.m2) * horizon,
-            (self.alpha * farthest + self.n1) * horizon,
-        )
+        loitering, standing = (self.m1 + self.m2) * horizon, self.alpha * farthest * horizon
         said = []
         if self.kappa < loitering:
             said.append(

@@ -84,7 +84,8 @@ def motion(env: Json) -> Motion:
 
 
 def require_alike(first: Json, other: Json, *, where: str) -> None:
-    """Refuse logs of another robot, state or action.
+    """Refuse logs of another robot, state, action or control period: the same action would mean
+    another motion.
 
     Raises:
         SpecError: naming what differs.
@@ -94,6 +95,11 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
             raise SpecError(
                 f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
             )
+    before, now = (env["config"]["control_period"] for env in (first, other))
+    if before != now:
+        raise SpecError(
+            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train on logs of one period at a time"
+        )
 
 
 def _rewards(

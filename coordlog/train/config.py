@@ -11,10 +11,13 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from coordlog.errors import ConfigError
+from coordlog.tasks.config import FATTEST
 
 Activation = Literal["relu", "crelu"]
 Norm = Literal["none", "layer", "batch"]
 Gradient = Literal["mask", "mean", "sum", "pcgrad"]
+Ascent = Literal["first", "mean"]
+Schedule = Literal["linear", "geometric"]
 
 
 def require(holds: bool, key: str, wanted: str, got: object) -> None:
@@ -50,6 +53,9 @@ class NetworkConfig:
     """
     critics: int = 2
     """Critics of which targets take the minimum per head; 1 is DDPG, 2 is TD3."""
+    ascent: Ascent = "first"
+    """Which of them the actor ascends: the "first", as TD3 prints it, or the "mean" of all, on
+    whose errors it cannot sit as easily."""
     action_layer: int = 1
     """Hidden layer of the critic that the action enters: 1 beside the state, 2 as in DDPG §7."""
     final_init: float = 3e-3
@@ -69,6 +75,7 @@ class NetworkConfig:
         require_choice("network.critic_norm", Norm, self.critic_norm)
         require(0 <= self.dropout < 1, "network.dropout", "a probability in [0, 1)", self.dropout)
         require(self.critics >= 1, "network.critics", "at least 1", self.critics)
+        require_choice("network.ascent", Ascent, self.ascent)
         require(
             1 <= self.action_layer <= min(2, len(self.hidden)),
             "network.action_layer",
@@ -144,10 +151,10 @@ class BehaviourConfig:
     weight: float = 20.0
     """w at the first update; 0 for no pull."""
     final: float = 5.0
-    """w at the last update, linear in between.
-
-    Annealed to nearly nothing, good policies have collapsed.
-    """
+    """w at the last update. Annealed to nearly nothing, good policies have collapsed."""
+    schedule: Schedule = "linear"
+    """In between "linear", or "geometric": in equal factors, so that it is weak, and values are
+    heard, for most of the run."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no
     gradient passes (Andrychowicz 2017)."""
@@ -158,9 +165,19 @@ class BehaviourConfig:
             require(
                 getattr(self, name) >= 0, f"behaviour.{name}", "a number ≥ 0", getattr(self, name)
             )
+        require_choice("behaviour.schedule", Schedule, self.schedule)
+        ends = self.weight > 0 and self.final > 0
+        require(
+            self.schedule == "linear" or ends,
+            "behaviour.schedule",
+            "linear where weight or final is 0",
+            self.schedule,
+        )
 
     def at(self, progress: float) -> float:
         """Weight after a fraction `progress` in [0, 1] of the run."""
+        if self.schedule == "geometric":
+            return float(self.weight * (self.final / self.weight) ** progress)
         return self.weight + (self.final - self.weight) * progress
 
 
@@ -222,6 +239,10 @@ class ReplayConfig:
 
     0 for any later step of the episode.
     """
+    far: float = 0.0
+    """Share of the live transitions in hindsight whose goals are reached at any later step,
+    whatever the horizon. The way there is not
+    imitated: over a whole episode it is a detour more often than a way."""
     imitation: float = 1.0
     """Weight of the behaviour term on live samples in hindsight, beside 1 on samples of logs."""
     n_step: int = 5
@@ -229,6 +250,9 @@ class ReplayConfig:
 
     One action at 25 Hz changes too little to be seen in the value.
     """
+    cut: bool = False
+    """End such a sum before a collision or fall of a later step: that step's action, noise
+    included, led to it, and not the first."""
     reorder: bool = True
     """List the spheres of every sample in an order of chance: no order means anything, so each
     sample stands for all of them."""
@@ -251,13 +275,51 @@ class ReplayConfig:
         require(self.horizon >= 0, "replay.horizon", "a number ≥ 0", self.horizon)
         require(self.imitation >= 0, "replay.imitation", "a number ≥ 0", self.imitation)
         require(self.n_step >= 1, "replay.n_step", "at least 1", self.n_step)
-        for name in ("log_fraction", "hindsight", "log_hindsight"):
+        for name in ("log_fraction", "hindsight", "log_hindsight", "far"):
             require(
                 0 <= getattr(self, name) <= 1,
                 f"replay.{name}",
                 "a fraction in [0, 1]",
                 getattr(self, name),
             )
+
+
+@dataclass(frozen=True)
+class PracticeConfig:
+    """How the live episodes of training differ from those that are judged; the policy, its file and
+    evaluations know nothing of it.
+
+    Each is the constant of the same name in [env], for the simulations that are learnt from alone,
+    and stands in their logs.
+    """
+
+    start_line: float = 0.0
+    """Share of episodes that begin on the line from the start pose to another named one."""
+    start_random: float = 0.0
+    """Share that begin in a random legal posture."""
+    start_solved: float = 0.0
+    """Share of all that begin near a posture which reaches the goals of another draw instead: a
+    curriculum from the goals backwards."""
+    inflate: float = 0.0
+    """Obstacles are this much larger on every side than the policy is told [m], so that what it
+    learns leaves a margin."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("start_line", "start_random", "start_solved"):
+            require(
+                0 <= getattr(self, name) <= 1,
+                f"train.{name}",
+                "a share in [0, 1]",
+                getattr(self, name),
+            )
+        require(
+            self.start_line + self.start_random <= 1,
+            "train.start_random",
+            "at most 1 - train.start_line",
+            self.start_random,
+        )
+        require(0 <= self.inflate <= FATTEST, "train.inflate", f"0 to {FATTEST} m", self.inflate)
 
 
 @dataclass(frozen=True)
@@ -274,6 +336,8 @@ class LoopConfig:
     """Updates from logs alone before the first live step."""
     updates_per_step: float = 0.2
     """Updates per environment step after `replay.warmup` of them, when live."""
+    final_rate: float = 1.0
+    """Both learning rates fall linearly to this share of themselves at the end of the run."""
     block: int = 8
     """Control steps of every simulation between two snapshots of the actor, when live."""
     overlap: bool = True
@@ -303,3 +367,4 @@ class LoopConfig:
             "a positive number",
             self.updates_per_step,
         )
+        require(0 < self.final_rate <= 1, "loop.final_rate", "a share in (0, 1]", self.final_rate)

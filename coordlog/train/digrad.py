@@ -128,12 +128,23 @@ class Learner:
             if moment.dim() > 1
         ]
         dtype = self._online[0].dtype
+        self._ascended = 1 if network.ascent == "first" else network.critics
         self._head_weights = torch.as_tensor(
             head_weights(config.gradient, mask), dtype=dtype, device=self.device
         )
         self._bounds = (bounds[0] * config.reward_scale, bounds[1] * config.reward_scale)
         zero = torch.zeros((), dtype=dtype, device=self.device)
         self._last = (zero.expand(k), zero, zero)
+
+    def slow_down(self, share: float) -> None:
+        """Learn at this share of the configured rates from now on."""
+        rates = (
+            (self.actor_optimiser, self.config.actor_rate),
+            (self.critic_optimiser, self.config.critic_rate),
+        )
+        for optimiser, rate in rates:
+            for group in optimiser.param_groups:
+                group["lr"] = rate * share
 
     def update(self, batch: Batch, *, behaviour_weight: float = 0.0, effort: float = 0.0) -> Update:
         """One gradient step of the critic.
@@ -199,7 +210,7 @@ class Learner:
         """
         action: Tensor = self.actor(batch.state, training=True, generator=self.generator)
         leaf = action.detach().requires_grad_()
-        q: Tensor = self.critic(batch.state, leaf, count=1)[0]  # (B, k)
+        q: Tensor = self.critic(batch.state, leaf, count=self._ascended).mean(dim=0)  # (B, k)
         heads = q.sum(dim=0).unbind()
         slopes = [
             torch.autograd.grad(head, leaf, retain_graph=True)[0] for head in heads

@@ -254,6 +254,7 @@ class Trainer:
 
     def _update(self, count: int) -> None:
         for _ in range(count):
+            self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
             weight = self.settings.behaviour.at(self.progress)
             self._tally.add(
                 self.learner.update(
@@ -312,8 +313,9 @@ class Trainer:
             return
         self._evaluated = self.updates
         policy = self.policy()
-        figures = dict(self.hooks.evaluate(policy, self.updates))
-        self._write("evaluation", dict(figures))
+        found = self.hooks.evaluate(policy, self.updates)
+        self._write("evaluation", dict(found))
+        figures = {name: value for name, value in found.items() if not isinstance(value, str)}
         if not self.best or [figures[name] for name in self.hooks.rank] > [
             self.best[name] for name in self.hooks.rank
         ]:

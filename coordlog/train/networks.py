@@ -254,6 +254,6 @@ class Critic(nn.Module):
         """Values of the first `count` members (all by default), (count, B, k)."""
         if self.late:
             return self.mlp(state, action, training=training, generator=generator, count=count)  # type: ignore[no-any-return]
-        return self.mlp(
+        return self.mlp(  # type: ignore[no-any-return]
             torch.cat((state, action), dim=-1), training=training, generator=generator, count=count
-        )  # type: ignore[no-any-return]
+        )

@@ -87,11 +87,30 @@ class Store(Protocol):
         ...
 
 
-def transitions(store: Store, rows: Array, out: Arrays, *, n: int, gamma: float) -> None:
+class Horizon(NamedTuple):
+    """How returns over several steps are formed."""
+
+    n: int
+    gamma: float
+    cut: bool = False
+    """End them before a mishap that a later action led to."""
+
+    def of(self, store: Store, rows: Array) -> tuple[Array, Array]:
+        """Rows of the steps from each row on, (size, n), and which of them count."""
+        index, within = store.ahead(rows, self.n)
+        if self.cut and self.n > 1:
+            later = index[:, 1:]
+            mishap = store.take("collision", later) | store.take("instability", later)
+            within = within.copy()
+            within[:, 1:] &= ~np.logical_or.accumulate(mishap, axis=1)
+        return index, within
+
+
+def transitions(store: Store, rows: Array, out: Arrays, horizon: Horizon) -> None:
     """Write transitions over n steps as they were; `imitated` and `wanted` are left alone."""
-    index, within = store.ahead(rows, n)
+    index, within = horizon.of(store, rows)
     found = n_step(
-        store.take("reward", index), store.take("terminated", index), within, gamma=gamma
+        store.take("reward", index), store.take("terminated", index), within, gamma=horizon.gamma
     )
     store.take("state", rows, out.state)
     store.take("action", rows, out.action)
@@ -106,9 +125,7 @@ class Asked(NamedTuple):
     reward: RewardFunction
 
 
-def in_hindsight(
-    store: Store, rows: Array, out: Arrays, asked: Asked, *, n: int, gamma: float
-) -> None:
+def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, horizon: Horizon) -> None:
     """Write transitions over n steps as if other goals had been asked for; `imitated` and `wanted`
     are left alone.
 
@@ -116,16 +133,18 @@ def in_hindsight(
     are as stored.
     """
     goals, view, reward = asked
-    index, within = store.ahead(rows, n)
+    index, within = horizon.of(store, rows)
     every = index.ravel()
     palms = view.points(store.next_state(every), view.palms)
     mishaps = {name: store.take(name, every) for name in ("collision", "instability")}
-    result = outcome(view, reward, palms=palms, goals=np.repeat(goals, n, axis=0), **mishaps)
+    result = outcome(
+        view, reward, palms=palms, goals=np.repeat(goals, horizon.n, axis=0), **mishaps
+    )
     found = n_step(
         result.reward.reshape(*index.shape, -1),
         result.terminated.reshape(index.shape),
         within,
-        gamma=gamma,
+        gamma=horizon.gamma,
     )
     store.take("state", rows, out.state)
     store.take("action", rows, out.action)
@@ -194,7 +213,11 @@ class MixedReplay:
                 raise ConfigError(
                     f"replay.{name}: expected to know where goals stand in the state; set it to 0 for this task"
                 )
-        self._config, self._task, self._gamma = config, task, gamma
+        self._config, self._task, self._horizon = (
+            config,
+            task,
+            Horizon(config.n_step, gamma, config.cut),
+        )
         self._logs, self._live, self._device, self._widths = (
             logs,
             live,
@@ -215,16 +238,19 @@ class MixedReplay:
                 self._logs,
                 out.rows(slice(0, logged)),
                 share=self._config.log_hindsight,
+                far=0.0,
                 imitation=(1.0, 1.0),
             )
         if self._live is not None and logged < size:
             live = out.rows(slice(logged, size))
+            config = self._config
             self._fill(
                 rng,
                 self._live,
                 live,
-                share=self._config.hindsight,
-                imitation=(self._config.imitation, 0.0),
+                share=config.hindsight,
+                far=config.far,
+                imitation=(config.imitation, 0.0),
             )
         if self._config.reorder and self._task.spheres:
             reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
@@ -245,10 +271,11 @@ class MixedReplay:
         out: Arrays,
         *,
         share: float,
+        far: float,
         imitation: tuple[float, float],
     ) -> None:
-        """A part of a batch, a share of it in hindsight; `imitation` weighs the behaviour term in
-        hindsight and as it was, where nothing went wrong soon after.
+        """A part of a batch, a share of it in hindsight, and of that a share `far`; `imitation`
+        weighs the behaviour term in hindsight and as it was, where nothing went wrong soon after.
         """
         config = self._config
         rows = store.draw(rng, len(out.state))
@@ -257,12 +284,15 @@ class MixedReplay:
             view = self._task.view
             assert view is not None
             then, steps = store.later(rng, rows[:count], config.horizon)
+            distant = round(far * count)
+            if distant > 0:
+                then[:distant], steps[:distant] = store.later(rng, rows[:distant], 0)
             reached = store.next_state(then)
             part, asked = (
                 out.rows(slice(0, count)),
                 Asked(view.points(reached, view.palms), view, self._task.reward),
             )
-            in_hindsight(store, rows[:count], part, asked, n=config.n_step, gamma=self._gamma)
+            in_hindsight(store, rows[:count], part, asked, self._horizon)
             part.wanted[:] = (
                 part.action
                 if self._task.motion is None
@@ -270,8 +300,9 @@ class MixedReplay:
             )
         if count < len(rows):
             part = out.rows(slice(count, None))
-            transitions(store, rows[count:], part, n=config.n_step, gamma=self._gamma)
+            transitions(store, rows[count:], part, self._horizon)
             part.wanted[:] = part.action
         out.imitated[:count, 0], out.imitated[count:, 0] = imitation
+        out.imitated[: round(far * count), 0] = 0.0
         if any(imitation):
             out.imitated[:, 0] *= store.clean(rows, config.horizon)

@@ -17,12 +17,14 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from coordlog.config import plain
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError
+from coordlog.tasks.config import EnvConfig
 
 PACKAGES = ("coordlog", "mujoco", "numpy", "torch", "pyarrow", "mcap", "safetensors")
 RUN, LOCK = "run.json", "data.lock"
-MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data")
+MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data", "start")
 """Keys of run.json that a resumed run may not change."""
 
 
@@ -82,6 +84,9 @@ def recall(folder: Path) -> Json:
         raise ConfigError(f"{folder / RUN}: expected JSON: {error}") from error
     if not isinstance(said, dict):
         raise ConfigError(f"{folder / RUN}: expected a JSON object, got {str(said)[:40]}")
+    said.setdefault("start", "stand")  # runs of before there was a choice
+    if isinstance(said.get("env"), dict):
+        said["env"]["config"] = plain(EnvConfig()) | said["env"].get("config", {})
     return said
 
 

@@ -20,6 +20,7 @@ from coordlog.train.config import (
     LoopConfig,
     NetworkConfig,
     NoiseConfig,
+    PracticeConfig,
     ReplayConfig,
 )
 
@@ -37,6 +38,7 @@ class Settings:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+    train: PracticeConfig = field(default_factory=PracticeConfig)
 
     def asdict(self) -> dict[str, dict[str, Any]]:
         """The settings as nested JSON-able dictionaries."""
@@ -45,6 +47,25 @@ class Settings:
 
 PRESETS: dict[str, Settings] = {
     "default": Settings(),
+    # Live, from scratch, in any scene: actions that last long enough for a critic to see what they are worth, imitation that leaves room
+    # for what is learnt from values, and starts all over the place, so that the way around something is found from its end.
+    "live": Settings(
+        network=NetworkConfig(ascent="mean"),
+        behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),
+        noise=NoiseConfig(start=0.5, final=0.07, decay=0.5, correlation=0.7),
+        replay=ReplayConfig(
+            batch=128, warmup=3_000, hindsight=0.7, horizon=8, far=0.3, n_step=3, cut=True
+        ),
+        loop=LoopConfig(
+            updates=0,
+            steps=130_000,
+            updates_per_step=0.3,
+            final_rate=0.3,
+            evaluate_every=3_000,
+            checkpoint_every=3_000,
+        ),
+        train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
+    ),
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
     "paper": Settings(
         network=NetworkConfig(
@@ -83,6 +104,35 @@ PRESETS: dict[str, Settings] = {
     ),
 }
 
+AROUND: dict[str, dict[str, dict[str, Any]]] = {
+    # 8 decisions a second, the command filter and the length of an episode the same in seconds as at 25.
+    "live": {
+        "env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35},
+        "reward": {"n1": 5.0, "n2": 20.0},
+    },
+}
+"""What a preset asks of the environment and its reward, where no logs say otherwise."""
+UNSAID: dict[tuple[str, str], object] = {
+    (section, key): getattr(getattr(PRESETS["default"], section), key)
+    for section, keys in {
+        "network": ("ascent",),
+        "loop": ("final_rate",),
+        "behaviour": ("schedule",),
+        "replay": ("far", "cut"),
+        "train": ("start_line", "start_random", "start_solved", "inflate"),
+    }.items()
+    for key in keys
+}
+"""What a run did that was saved before these settings were."""
+
+
+def surroundings(preset: str) -> dict[str, dict[str, Any]]:
+    """What a preset asks of the environment, as the entries "config" and "reward" of a
+    `coordlog.env` record.
+    """
+    around = AROUND.get(preset, {})
+    return {"config": dict(around.get("env", {})), "reward": dict(around.get("reward", {}))}
+
 
 def override(settings: Settings, tables: Mapping[str, Mapping[str, object]]) -> Settings:
     """Settings with the values of `tables` ({section: {key: value}}) in place of theirs.
@@ -106,7 +156,7 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
     """
     for section, values in settings.asdict().items():
         for key, value in values.items():
-            before = saved.get(section, {}).get(key)
+            before = saved.get(section, {}).get(key, UNSAID.get((section, key)))
             if before != value and (section, key) not in BUDGET:
                 raise ConfigError(
                     f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings"

@@ -92,8 +92,8 @@ class LiveSource(Protocol):
 class Hooks:
     """What the loop calls between two rounds."""
 
-    evaluate: Callable[[Policy, int], Mapping[str, float]] | None = None
-    """Policy and number of updates to figures of merit on held-out goals."""
+    evaluate: Callable[[Policy, int], Mapping[str, float | str]] | None = None
+    """Policy and number of updates to figures of merit on held-out goals, and words about them."""
     rank: tuple[str, ...] = ("clean", "score")
     """Figures by which the best policy is kept, greater is better, the first decides."""
     on_row: Callable[[Row], None] | None = None

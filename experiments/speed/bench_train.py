@@ -34,7 +34,7 @@ from coordlog.train.digrad import Batch, Learner
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.networks import Actor
-from coordlog.train.replay import Arrays, MixedReplay, transitions
+from coordlog.train.replay import Arrays, Horizon, MixedReplay, transitions
 from coordlog.train.settings import PRESETS, Settings
 from coordlog.train.task import Task
 
@@ -293,7 +293,7 @@ def in_memory(columns: Columns) -> list[torch.Tensor]:
 def epoch(store: LogReplay, shuffled: Array) -> None:
     for start in range(0, len(shuffled), 256):
         out = Arrays.empty(256, (N_X, N_U, 2))
-        transitions(store, shuffled[start : start + 256], out, n=1, gamma=0.98)
+        transitions(store, shuffled[start : start + 256], out, Horizon(1, 0.98))
         for array in out:
             torch.from_numpy(array)
 

@@ -12,10 +12,11 @@ import pytest
 import torch
 
 from coordlog.cli import app
-from coordlog.commands.training import Judge
+from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
 from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
+from coordlog.tasks.config import TRAINING_ONLY
 from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
 from coordlog.train.networks import Actor
@@ -167,9 +168,10 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0)
     )
     policy = Policy(actor.arrays(), {"activation": "relu", "norm": "none"})
+    envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge("planar", {"env": {"max_steps": 3}}, None, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
@@ -196,7 +198,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
             "--where: expected an SQL condition over",
         ),
         (("--from", FIXTURES / "table", "--where", "length > 9999"), "no episode of 3 satisfies"),
-        (("--scene", "planar"), "--steps: expected a budget of live steps"),
+        (("--scene", "planar", "--preset", "default"), "--steps: expected a budget of live steps"),
         (("--scene", "planar", "--steps", "64", "--set", "learner.gama=1"), "learner.gama"),
         (
             ("--scene", "planar", "--steps", "64", "--set", "reward.n3=1"),
@@ -297,3 +299,37 @@ def test_a_broken_log_is_named_and_left_out_when_asked(
             cache, "train", *small, "--skip-broken", "--out", tmp_path / "b", wanted=3
         ).stderr
     )
+
+
+def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path: Path) -> None:
+    """Without a word on the preset: slow decisions, starts elsewhere, both judged and trained."""
+    run = tmp_path / "run"
+    live = ["train", "--scene", "planar", "--steps", "64", "--eval-every", "5", *SMALL]
+    live += ["--set", "replay.warmup=32", "--set", "env.max_steps=4", "--set", "train.inflate=0.01"]
+    coordlog(cache, *live, "--out", run)
+    said = json.loads((run / "run.json").read_text())
+    assert (said["preset"], said["env"]["config"]["control_period"]) == ("live", 0.12)
+    trained, evaluated = open_logs(run / "episodes" / "train"), open_logs(run / "episodes")
+    practised = trained[0].header.env["config"]
+    assert (practised["inflate"], practised["start_random"]) == (0.01, 0.3)
+    assert all(episode.header.env["config"]["control_period"] == 0.12 for episode in evaluated)
+    judged = [each for each in evaluated if each.header.episode["split"] == "test"]
+    easier = {each.header.env["config"][name] for each in judged for name in TRAINING_ONLY}
+    assert easier == {0.0}
+    coordlog(cache, "check", run / "episodes", "--jobs", "1")
+    coordlog(cache, *live, "--out", run, "--resume")
+
+
+def test_logs_of_another_period_are_named(cache: Path, logs: Path, tmp_path: Path) -> None:
+    slow = tmp_path / "slow.toml"
+    slow.write_text("[env]\ncontrol_period = 0.12\n")
+    folder = tmp_path / "slow"
+    coordlog(
+        cache, "record", "--scene", "planar", "--episodes", "2", "--config", slow, "--out", folder
+    )
+    both = ["train", "--from", logs, "--from", folder, "--updates", "5", *SMALL]
+    done = coordlog(cache, *both, "--out", tmp_path / "run", wanted=2)
+    assert "its control period is" in done.stderr
+    one = ["train", "--from", logs, "--set", "env.control_period=0.12", "--updates", "5", *SMALL]
+    done = coordlog(cache, *one, "--out", tmp_path / "run", wanted=2)
+    assert "its control period is 0.12 s, that of the other logs 0.04 s" in done.stderr

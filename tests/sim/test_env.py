@@ -363,3 +363,62 @@ def test_the_expert_ends_an_episode_on_its_goals():
             break
     assert (outcome.distance[outcome.terminated] < 0.03).all()
     assert (outcome.reward[outcome.terminated] == env.task.reward.kappa).all()
+
+
+# decisions slower than the servo ticks
+
+
+def test_a_slow_decision_is_several_fast_ones():
+    """Three of 0.04 s with the same action lead to where one of 0.12 s does, contacts and flags
+    included."""
+    fast = started("table", n=2, config=EnvConfig(smoothing=0.0))
+    slow = started("table", n=2, config=EnvConfig(smoothing=0.0, control_period=0.12, max_steps=50))
+    ids, touched = np.arange(2), []
+    action = np.tile(sum(joint(fast, f"{side}_shoulder_y", -0.8) for side in "lr"), (2, 1)).astype(
+        np.float32
+    )  # no joint gets to its stop
+    for _ in range(8):
+        parts = [fast.step(action, ids) for _ in range(3)]
+        whole = slow.step(action, ids)
+        np.testing.assert_allclose(slow.simulation.qpos, fast.simulation.qpos, atol=1e-9)
+        np.testing.assert_array_equal(
+            whole.collision, np.any([part.collision for part in parts], axis=0)
+        )
+        np.testing.assert_array_equal(whole.instability, parts[-1].instability)
+        touched.append(whole.collision)
+    np.testing.assert_allclose(slow.simulation.time, fast.simulation.time)
+    assert np.any(touched), "something was touched, so that the flags were looked at"
+    assert not np.all(touched)
+
+
+# obstacles that are larger in training
+
+
+def test_panels_grow_by_what_was_asked_for_on_every_side():
+    true, larger = started("shelf"), started("shelf", config=EnvConfig(inflate=0.005))
+    for panel in true.scene.panels:
+        before, after = (env.task.model.geom(panel.name) for env in (true, larger))
+        np.testing.assert_allclose(after.size, before.size + 0.005, atol=1e-12)
+        np.testing.assert_array_equal(after.pos, before.pos)
+    np.testing.assert_array_equal(true.state, larger.state)
+
+
+def test_the_policy_is_told_the_true_size_of_spheres_that_are_larger():
+    true, larger = started("spheres"), started("spheres", config=EnvConfig(inflate=0.01))
+    radii = true.problem(seed=0, split="train", index=0).spheres[:, 3]
+    np.testing.assert_allclose(
+        larger.physics.model_of(0).geom_size[larger.task.sphere_geoms, 0], radii + 0.01
+    )
+    np.testing.assert_allclose(larger.state, true.state, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("inflate", 0.03), ("start_line", 1.5), ("start_random", -0.1)]
+)
+def test_what_makes_training_easier_has_a_range(key, value):
+    with pytest.raises(ConfigError, match=f"{key}: expected"):
+        EnvConfig(**{key: value})
+    with pytest.raises(
+        ConfigError, match=r"start_line \+ start_random: expected at most 1, got 1.2"
+    ):
+        EnvConfig(start_line=0.6, start_random=0.6)

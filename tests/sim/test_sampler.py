@@ -169,3 +169,69 @@ def test_a_scene_that_asks_too_much_says_so(envs, monkeypatch):
         Draw(
             far, env.task.model, EnvConfig(), standing=env._rest[1 : 1 + env.task.model.nq]
         ).problem(seed=0, split="train", index=7)
+
+
+# starts of training
+
+
+def elsewhere(name, **shares):
+    return BatchEnv(find(name), EnvConfig(**shares), n=1, threads=1)
+
+
+@pytest.mark.parametrize("name", ["table", "shelf", "planar"])
+@pytest.mark.parametrize("share", ["start_line", "start_random", "start_solved"])
+def test_training_starts_elsewhere_and_every_start_is_legal(envs, name, share):
+    env, plain = elsewhere(name, **{share: 1.0}), envs[name]
+    away = []
+    for problem in problems(env):
+        low, high = env.task.limits.T
+        assert ((problem.angles >= low) & (problem.angles <= high)).all()
+        env.draw.reach.place(problem.spheres)
+        assert env.draw.reach.legal(problem.angles)
+        away.append(np.abs(problem.angles - env.draw.reach.standing_angles).max())
+    poses = len([pose for pose in env.scene.robot.poses if pose not in ("stand", "neutral")])
+    if share == "start_line" and not poses:
+        assert max(away) <= env.task.config.start_noise, "there is no other pose to go to"
+    else:
+        assert np.median(away) > 4 * env.task.config.start_noise
+    for one, other in zip(problems(env, split="test"), problems(plain, split="test"), strict=True):
+        assert one.angles.tobytes() == other.angles.tobytes(), (
+            "what is judged begins where it always did"
+        )
+        assert one.goals.tobytes() == other.goals.tobytes()
+
+
+def test_starts_on_the_line_lie_between_two_poses():
+    env = elsewhere("table", start_line=1.0, start_noise=0.0)
+    stand, home = env.draw.reach.standing_angles, env.draw.reach.angles_of(env.scene.robot, "home")
+    shares = []
+    for problem in problems(env):
+        way = home - stand
+        shares.append((problem.angles - stand) @ way / (way @ way))
+        np.testing.assert_allclose(problem.angles, stand + shares[-1] * way, atol=1e-12)
+    assert 0 <= min(shares) < 0.4
+    assert 0.6 < max(shares) <= 1
+
+
+def test_starts_near_solutions_are_nearer_to_goals_than_the_pose_is():
+    env = elsewhere("table", start_solved=1.0)
+    other = [env.problem(seed=7, split="test", index=index).goals for index in range(40)]
+
+    def nearest(angles):
+        palms = env.draw.reach.palms(angles)
+        return min(np.linalg.norm(palms - goals, axis=1).max() for goals in other)
+
+    near = np.median([nearest(problem.angles) for problem in problems(env)])
+    assert near < 0.7 * nearest(env.draw.reach.standing_angles)
+
+
+def test_shares_of_starts_are_what_was_asked_for():
+    env = elsewhere("free", start_line=0.2, start_random=0.3)
+    away = np.array(
+        [
+            np.abs(problem.angles - env.draw.reach.standing_angles).max()
+            for problem in problems(env, count=200)
+        ]
+    )
+    stayed = (away <= env.task.config.start_noise).mean()
+    assert 0.4 < stayed < 0.62, "half of them; and a few of those on the line, near its beginning"

@@ -254,6 +254,54 @@ def test_the_ablations_ascend_the_unmasked_value(
 
 
 @pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("ascent", ["first", "mean"])
+def test_the_actor_ascends_the_first_critic_or_the_mean_of_all(
+    ascent: str, rng: np.random.Generator
+) -> None:
+    data, network = batch(rng, 2), replace(PLAIN, critics=3, ascent=ascent)  # type: ignore[arg-type]
+    config = replace(DDPG, gradient="sum")
+    made, fresh = (
+        learner(TWO_ARMS, network=network, config=config),
+        learner(TWO_ARMS, network=network, config=config),
+    )
+    made.update(data)
+    q = made.critic(data.state, fresh.actor(data.state))
+    value = -(q[0] if ascent == "first" else q.mean(dim=0)).sum(dim=1).mean()
+    wanted = torch.cat(
+        [part.reshape(-1) for part in torch.autograd.grad(value, tuple(fresh.actor.parameters()))]
+    )
+    torch.testing.assert_close(gradient(made), wanted)
+
+
+@pytest.mark.usefixtures("double")
+def test_both_networks_learn_at_a_share_of_their_rates(rng: np.random.Generator) -> None:
+    """Adam's first step is the rate in every entry whose gradient is not tiny, so a tenth of the
+    rate is a tenth of the step."""
+    data = batch(rng, 2)
+    full, slow, before = (learner(TWO_ARMS) for _ in range(3))
+    slow.slow_down(0.1)
+    full.update(data)
+    slow.update(data)
+    for name in ("actor", "critic"):
+        start, far, near = (
+            torch.cat([p.detach().reshape(-1) for p in getattr(made, name).parameters()])
+            for made in (before, full, slow)
+        )
+        moving = (far - start).abs() > 1e-5
+        assert moving.any()
+        if name == "critic":  # the actor's gradient is that of a critic which has moved less
+            torch.testing.assert_close(
+                (near - start)[moving], 0.1 * (far - start)[moving], rtol=1e-3, atol=0.0
+            )
+        else:
+            assert (
+                0.08
+                < (near - start).abs()[moving].mean() / (far - start).abs()[moving].mean()
+                < 0.12
+            )
+
+
+@pytest.mark.usefixtures("double")
 def test_gradient_surgery_opposes_neither_task(rng: np.random.Generator) -> None:
     data = batch(rng, 2, imitated=1.0)
     made = learner(TWO_ARMS, config=replace(DDPG, gradient="pcgrad"))

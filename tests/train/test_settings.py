@@ -6,10 +6,21 @@ from pathlib import Path
 
 import pytest
 
+from coordlog.config import build
 from coordlog.errors import ConfigError, StorageError
+from coordlog.tasks.config import TRAINING_ONLY, EnvConfig, RewardConfig
 from coordlog.train import config
-from coordlog.train.config import BehaviourConfig, NoiseConfig
-from coordlog.train.settings import PRESETS, Settings, load_settings, override, refuse_changes
+from coordlog.train.config import BehaviourConfig, NoiseConfig, PracticeConfig
+from coordlog.train.settings import (
+    AROUND,
+    PRESETS,
+    UNSAID,
+    Settings,
+    load_settings,
+    override,
+    refuse_changes,
+    surroundings,
+)
 
 
 def test_the_paper_preset_is_what_the_paper_prints() -> None:
@@ -106,7 +117,9 @@ def test_a_bad_file_or_preset_is_named(tmp_path: Path) -> None:
         load_settings(path)
     with pytest.raises(StorageError, match="cannot be read"):
         load_settings(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="unknown preset 'best'; choose one of: default, paper"):
+    with pytest.raises(
+        ConfigError, match="unknown preset 'best'; choose one of: default, live, paper"
+    ):
         load_settings(preset="best")
 
 
@@ -121,6 +134,40 @@ def test_a_resumed_run_may_get_a_larger_budget_and_nothing_else() -> None:
     refuse_changes(load_settings(assignments=["loop.updates=20000", "loop.steps=5"]), saved)
     with pytest.raises(ConfigError, match=r"resume: learner\.gamma was 0\.98 and is now 0\.9"):
         refuse_changes(load_settings(assignments=["learner.gamma=0.9"]), saved)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_run_of_before_there_were_some_settings_may_be_resumed(preset: str) -> None:
+    saved = json.loads(json.dumps(PRESETS[preset].asdict()))
+    for section, key in UNSAID:
+        del saved[section][key]
+    del saved["train"]
+    refuse_changes(PRESETS[preset], saved)
+    with pytest.raises(ConfigError, match=r"resume: replay\.cut was False and is now True"):
+        refuse_changes(override(PRESETS[preset], {"replay": {"cut": True}}), saved)
+
+
+def test_what_makes_training_easier_is_named_alike_in_both_places() -> None:
+    names = tuple(item.name for item in fields(PracticeConfig))
+    assert names == TRAINING_ONLY
+    assert all(getattr(EnvConfig(), name) == getattr(PracticeConfig(), name) == 0 for name in names)
+
+
+@pytest.mark.parametrize("preset", AROUND)
+def test_a_presets_surroundings_are_constants_that_there_are(preset: str) -> None:
+    around = surroundings(preset)
+    config, reward = (
+        build(EnvConfig, around["config"]),
+        build(RewardConfig, around["reward"]),
+    )
+    gamma = PRESETS[preset].learner.gamma
+    assert reward.doubts(gamma=gamma, steps=config.max_steps, farthest=0.5) == []
+    assert config.max_steps * config.control_period == pytest.approx(
+        EnvConfig().max_steps * EnvConfig().control_period
+    )
+    assert config.smoothing == pytest.approx(
+        EnvConfig().smoothing ** (config.control_period / EnvConfig().control_period), abs=0.01
+    )
 
 
 def test_every_field_is_flat_and_few_and_documented() -> None:
@@ -145,3 +192,11 @@ def test_schedules_start_and_end_where_they_say() -> None:
     )
     behaviour = BehaviourConfig(weight=2, final=1)
     assert [behaviour.at(progress) for progress in (0, 0.5, 1)] == [2, 1.5, 1]
+    fading = BehaviourConfig(weight=8, final=0.5, schedule="geometric")
+    assert [fading.at(progress) for progress in (0, 0.25, 0.5, 0.75, 1)] == pytest.approx(
+        [8, 4, 2, 1, 0.5]
+    )
+    with pytest.raises(
+        ConfigError, match=r"behaviour\.schedule: expected linear where weight or final is 0"
+    ):
+        BehaviourConfig(weight=1, final=0, schedule="geometric")

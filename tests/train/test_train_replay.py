@@ -18,6 +18,7 @@ from coordlog.train.relabel import outcome
 from coordlog.train.replay import (
     Arrays,
     Asked,
+    Horizon,
     MixedReplay,
     Store,
     in_hindsight,
@@ -31,11 +32,11 @@ WIDTHS = (toy.N_X, toy.N_U, 2)
 GAMMA = 0.9
 
 
-def read(store: Store, rows: np.ndarray, *, n: int = 1) -> Arrays:
+def read(store: Store, rows: np.ndarray, *, n: int = 1, cut: bool = False) -> Arrays:
     out = Arrays.empty(len(rows), WIDTHS)
     for array in out:
         array[:] = np.nan
-    transitions(store, rows, out, n=n, gamma=GAMMA)
+    transitions(store, rows, out, Horizon(n, GAMMA, cut))
     return out
 
 
@@ -438,7 +439,7 @@ def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(
     rows = store.draw(rng, 200)
     goals = view.points(store.next_state(store.later(rng, rows, 8)[0]), view.palms)
     out = Arrays.empty(200, WIDTHS)
-    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), n=4, gamma=GAMMA)
+    in_hindsight(store, rows, out, Asked(goals, view, toy.reward), Horizon(4, GAMMA))
     index, within = store.ahead(rows, 4)
     for place in range(200):
         reward, discount = np.zeros(2), 1.0
@@ -464,6 +465,53 @@ def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(
     np.testing.assert_array_equal(out.state[:, view.goals], out.next_state[:, view.goals])
 
 
+@pytest.mark.parametrize("kind", ["logs", "live"])
+def test_a_cut_return_ends_before_the_mishap_of_a_later_step(kind: str) -> None:
+    """Steps 0 … 5 of one episode, something is touched at 3 and 4: only what is done there pays for
+    it."""
+    store = mishaps(kind, 6, touched=(3, 4))
+    rows = np.arange(6)
+    plain, cut = read(store, rows, n=3), read(store, rows, n=3, cut=True)
+    np.testing.assert_allclose(cut.discount[:, 0], GAMMA ** np.array([3, 2, 1, 1, 2, 1]))
+    single = read(store, rows)
+    np.testing.assert_allclose(cut.reward[[2, 3, 5]], single.reward[[2, 3, 5]], rtol=1e-6)
+    np.testing.assert_allclose(
+        cut.reward[1], single.reward[1] + GAMMA * single.reward[2], rtol=1e-6
+    )
+    np.testing.assert_array_equal(cut.next_state[2], single.next_state[2])
+    for array, other in zip(cut, plain, strict=True):
+        np.testing.assert_array_equal(
+            array[0], other[0], err_msg="nothing goes wrong within three steps of the first"
+        )
+    assert (cut.reward[1] > plain.reward[1]).all()
+
+
+def test_far_goals_are_from_anywhere_later_and_not_imitated(rng: np.random.Generator) -> None:
+    buffer = ReplayBuffer(400, 1, widths=WIDTHS, reward=toy.reward)
+    block = wandering(1, 400)
+    buffer.add(
+        block._replace(
+            episode=np.zeros_like(block.episode),
+            step=np.arange(400)[:, None],
+            collision=np.zeros_like(block.collision),
+        )
+    )
+    asked = ReplayConfig(
+        batch=200, warmup=200, capacity=400, hindsight=0.5, far=0.4, horizon=1, n_step=1
+    )
+    batch = MixedReplay(asked, toy.task(), gamma=GAMMA, live=buffer).sample(rng)
+    np.testing.assert_array_equal(
+        batch.imitated[:, 0].numpy(), np.repeat([0.0, 1.0, 0.0], [40, 60, 100])
+    )
+    view = toy.view()
+    state = batch.next_state.numpy()
+    distance = np.linalg.norm(
+        view.points(state, view.goals) - view.points(state, view.palms), axis=2
+    ).max(axis=1)
+    assert (distance[40:100] < 1e-5).all(), "a horizon of one step: the goals are where it led"
+    assert np.median(distance[:40]) > toy.RADIUS, "far ones are elsewhere"
+
+
 def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -> None:
     buffer = ReplayBuffer(40, 1, widths=WIDTHS, reward=toy.reward)
     block = numbered(40)
@@ -472,6 +520,34 @@ def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -
     ahead = buffer.next_state(buffer.later(rng, rows, 6)[0])[:, 0] - 0.5 - rows
     assert set(ahead) == set(range(6))
     assert (ahead + rows).max() == 39
+
+
+def mishaps(kind: str, steps: int, *, touched: tuple[int, ...]) -> Store:
+    """One episode in which some steps touch something and no goal is reached, from logs or live."""
+    block, flag = numbered(steps), np.isin(np.arange(steps), touched)[:, None]
+    none = {
+        name: np.zeros_like(getattr(block, name))
+        for name in ("boundary", "goal", "instability", "terminated", "episode")
+    }
+    block = block._replace(**none, collision=flag, step=np.arange(steps)[:, None])
+    if kind == "live":
+        store = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+        store.add(block)
+        return store
+    names = (
+        "state",
+        "action",
+        "distance",
+        "boundary",
+        "goal",
+        "collision",
+        "instability",
+        "terminated",
+    )
+    columns = {name: getattr(block, name)[:, 0] for name in names}
+    return LogReplay(
+        Columns(**columns, final=block.next_state[-1], length=np.array([steps])), toy.reward
+    )
 
 
 @pytest.mark.parametrize("kind", ["logs", "live"])

@@ -144,8 +144,7 @@ def test_the_bounds_in_the_doubts_are_discounted_sums():
     horizon = sum(gamma**t for t in range(steps))
     config = RewardConfig()
     enough = RewardConfig(
-        kappa=(config.m1 + config.m2) * horizon + 1e-9,
-        n2=(config.alpha * farthest + config.n1) * horizon + 1e-9,
+        kappa=(config.m1 + config.m2) * horizon + 1e-9, n2=config.alpha * farthest * horizon + 1e-9
     )
     assert enough.doubts(gamma=gamma, steps=steps, farthest=farthest) == []
     short = RewardConfig(kappa=enough.kappa - 1e-6, n2=enough.n2 - 1e-6)

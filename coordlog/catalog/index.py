@@ -1,0 +1,245 @@
+"""A catalogue: a row per episode, kept in Parquet files beside the logs, never trusted against them.
+
+The files of a catalogue lie in `.catalog/` of what they describe. Each is written once, whole, and
+named by a number; a later one has the word about a path. Size and mtime of every file decide
+whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged or
+of another edition is described anew. Deleting a catalogue costs only time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import re
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from coordlog.catalog.rows import KEPT, Job, described, table_of, tombstones
+from coordlog.errors import StorageError
+from coordlog.parallel import batches
+from coordlog.record.addresses import contents_of, place_at
+from coordlog.record.places import Entry, Folder, Place
+from coordlog.record.store import Store, store_of
+
+FOLDER = ".catalog"
+EDITION = "1"
+"""Files of another edition are described anew."""
+GROUP = 64
+"""Files that one process describes before it answers."""
+
+_NAME = re.compile(r"^part-(\d{6,})-[0-9a-f]{8}\.parquet$")
+
+Run = Callable[
+    [Callable[[Job], list[dict[str, Any]]], Sequence[Job]], Iterable[list[dict[str, Any]]]
+]
+"""Maps a function over jobs, on as many processes as it likes."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a look at the files showed."""
+
+    new: int
+    changed: int
+    gone: int
+    notes: tuple[str, ...]
+    """What was wrong with the catalogue, and what was done about it."""
+
+
+class Mismatch(NamedTuple):
+    """A file whose bytes are not those that were catalogued, though its size and time are."""
+
+    path: str
+    wanted: str
+    got: str
+
+
+def serial(
+    function: Callable[[Job], list[dict[str, Any]]], jobs: Sequence[Job]
+) -> Iterator[list[dict[str, Any]]]:
+    """A `Run` in this process."""
+    return map(function, jobs)
+
+
+class Catalog:
+    """The catalogue of a folder, a pack or an object store's prefix.
+
+    Example:
+        >>> catalog = Catalog("logs")  # doctest: +SKIP
+        >>> catalog.refresh()  # doctest: +SKIP
+        >>> catalog.episodes().num_rows  # doctest: +SKIP
+    """
+
+    def __init__(self, address: str | os.PathLike[str]) -> None:
+        """Look at nothing yet.
+
+        Raises:
+            ConfigError: if the address is none that can be read.
+        """
+        self.store: Store = store_of(address)
+        self.root = self.store.address
+        self._place: Place = place_at(self.root)
+        self._rows: pa.Table | None = None
+        self._notes: list[str] = []
+        self._broken: list[str] = []
+
+    def rows(self) -> pa.Table:
+        """The newest row of every file, broken ones too; `KEPT`."""
+        if self._rows is None:
+            try:
+                self._rows = newest(self._read(name) for name in self.parts())
+            except StorageError:  # somebody else has compacted it between two reads
+                self._rows = newest(self._read(name) for name in self.parts())
+        return self._rows
+
+    def source(self) -> pa.Table | ds.Dataset:
+        """The rows for a query that looks at a few columns; as `rows`, but a compact catalogue of
+        this machine is left on the disk.
+        """
+        parts = self.parts()
+        if self._rows is None and len(parts) == 1 and isinstance(self._place, Folder):
+            path = self._place.path / parts[0]
+            with suppress(pa.ArrowInvalid, OSError):
+                about = pq.read_schema(path).metadata or {}
+                if about.get(b"coordlog_catalog") == EDITION.encode():
+                    return ds.dataset(path, format="parquet")
+        return self.rows()
+
+    def episodes(self) -> pa.Table:
+        """The rows of sound episodes, by path."""
+        rows = self.rows()
+        return rows.filter(pc.is_null(rows.column("error")))
+
+    def broken(self) -> list[tuple[str, str]]:
+        """Paths of what is no sound episode, and why."""
+        rows = self.rows()
+        wrong = rows.filter(pc.is_valid(rows.column("error")))
+        names, reasons = (wrong.column(name).to_pylist() for name in ("path", "error"))
+        return list(zip(names, reasons, strict=True))
+
+    def parts(self) -> list[str]:
+        """Names of the files of the catalogue, oldest first."""
+        names = [entry.name for entry in self._place.entries(FOLDER)]
+        return sorted(name for name in names if _NAME.match(name.split("/")[-1]))
+
+    def refresh(self, *, run: Run = serial) -> Change:
+        """Look at the size and time of every file, and describe what is new or changed.
+
+        Raises:
+            StorageError: if the files cannot be listed.
+        """
+        listed = {entry.name: entry for entry in self.store.list()}
+        rows = self.rows()
+        columns = (rows.column(name).to_pylist() for name in ("path", "size", "mtime"))
+        known = {path: (size, mtime) for path, size, mtime in zip(*columns, strict=True)}
+        fresh = [
+            each for each in listed.values() if known.get(each.name) != (each.size, each.mtime)
+        ]
+        gone = [name for name in known if name not in listed]
+        changed = sum(entry.name in known for entry in fresh)
+        self._describe(fresh, gone, run=run)
+        change = Change(len(fresh) - changed, changed, len(gone), tuple(self._notes))
+        self._notes = []
+        return change
+
+    def verify(self) -> list[Mismatch]:
+        """Hash every file; rows of those with other bytes are described anew."""
+        rows = self.episodes()
+        columns = (rows.column(name).to_pylist() for name in ("path", "digest", "size", "mtime"))
+        wrong = []
+        for name, wanted, size, mtime in zip(*columns, strict=True):
+            got = hashlib.sha256(contents_of(self.store.path(name))).hexdigest()
+            if got != wanted:
+                wrong.append((Mismatch(name, wanted, got), Entry(name, size, mtime)))
+        self._describe([entry for _, entry in wrong], [], run=serial)
+        return [mismatch for mismatch, _ in wrong]
+
+    def compact(self) -> None:
+        """Write the newest rows as one file, then delete those that it replaces.
+
+        Raises:
+            StorageError: if the catalogue cannot be written.
+        """
+        parts, rows = self.parts(), self.rows()
+        if len(parts) > 1:
+            self._write(rows)
+            for name in parts:
+                self._place.remove(name)
+
+    def rebuild(self, *, run: Run = serial) -> Change:
+        """Delete the catalogue and describe every file anew."""
+        for name in self.parts():
+            self._place.remove(name)
+        self._rows = None
+        return self.refresh(run=run)
+
+    def _describe(self, fresh: Sequence[Entry], gone: Sequence[str], *, run: Run) -> None:
+        if not fresh and not gone:
+            return
+        jobs = [Job(self.root, tuple(group)) for group in batches(fresh, GROUP)]
+        found = table_of(row for rows in run(described, jobs) for row in rows)
+        added = pa.concat_tables([found, tombstones(gone)]).sort_by("path")
+        self._rows = newest([self.rows(), added])
+        try:
+            self._write(added)
+            for name in self._broken:
+                self._place.remove(name)
+            self._broken = []
+        except StorageError as error:
+            self._notes.append(f"the catalogue is not kept: {error}")
+
+    def _write(self, rows: pa.Table) -> None:
+        """Write one more file of the catalogue."""
+        numbers = [int(name.split("-")[-2]) for name in self.parts()]
+        name = f"part-{max(numbers, default=0) + 1:06d}-{uuid.uuid4().hex[:8]}.parquet"
+        about = {"coordlog_catalog": EDITION}
+        sink = io.BytesIO()
+        pq.write_table(rows.replace_schema_metadata(about), sink, compression="zstd")
+        self._place.create(f"{FOLDER}/{name}", sink.getvalue())
+
+    def _read(self, name: str) -> pa.Table:
+        """One file of the catalogue; an empty table for one that cannot be used."""
+        try:
+            table = pq.read_table(pa.BufferReader(self._place.read(name)))
+            about = table.schema.metadata or {}
+            edition = about.get(b"coordlog_catalog", b"none").decode()
+            if edition != EDITION or table.schema.names != KEPT.names:
+                raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
+            return table.cast(KEPT)
+        except (pa.ArrowInvalid, OSError, ValueError) as error:
+            self._notes.append(
+                f"{self.root}/{name}: cannot be used and is written anew: "
+                f"{str(error).splitlines()[0]}"
+            )
+            self._broken.append(name)
+            return KEPT.empty_table()
+
+
+def newest(parts: Iterable[pa.Table]) -> pa.Table:
+    """The last row of every path, by path, without those that are gone.
+
+    Args:
+        parts: Tables of `KEPT`, oldest first.
+    """
+    tables = list(parts)
+    if not tables:
+        return KEPT.empty_table()
+    rows = pa.concat_tables(tables)
+    if len(tables) > 1:
+        codes = np.asarray(rows.column("path").combine_chunks().dictionary_encode().indices)
+        last = np.zeros(codes.max(initial=-1) + 1, np.int64)
+        last[codes] = np.arange(len(codes))
+        rows = rows.take(pa.array(np.sort(last))).sort_by("path")
+    if rows.column("gone").null_count < len(rows):
+        rows = rows.filter(pc.is_null(rows.column("gone")))
+    return rows

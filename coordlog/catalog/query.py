@@ -1,0 +1,167 @@
+"""SQL over catalogues, and over the steps of episodes: read-only, and blind to everything else.
+
+DuckDB sees two views, `episodes` and, where asked for, `steps`; its configuration is locked with no
+access to files, extensions or Python's variables. Steps are decoded as they are asked for, a few
+files at a time, so that memory stays flat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+
+from coordlog.catalog.rows import COLUMNS
+from coordlog.errors import ConfigError, CoordlogError
+from coordlog.parallel import batches
+from coordlog.record.dataset import open as open_logs
+
+EXTRA = ("part", "label")
+"""Columns that manifests add."""
+GROUP = 32
+"""Files that are decoded together for `steps`."""
+
+_CONFIG = {
+    "enable_external_access": "false",
+    "autoload_known_extensions": "false",
+    "autoinstall_known_extensions": "false",
+    "python_enable_replacements": "false",
+}
+
+
+class Source(NamedTuple):
+    """Rows of one catalogue, and what stands before their paths."""
+
+    rows: pa.Table | ds.Dataset
+    prefix: str
+    """"" where paths are whole already"""
+
+
+def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = False) -> pa.Table:
+    """The answer to one SELECT over `episodes` and, if asked for, `steps`.
+
+    Args:
+        sql: The statement. `steps.episode` is `episodes.row`.
+        sources: Where episodes are described.
+        where: An SQL condition that restricts both views.
+        steps: Offer the view `steps`; all its episodes must be of one layout.
+
+    Raises:
+        ConfigError: if it is not one SELECT over these views.
+        CoordlogError: if steps cannot be read.
+    """
+    import duckdb
+
+    with duckdb.connect(config=_CONFIG) as connection:  # type: ignore[arg-type]
+        stream: StepStream | None = None
+        try:
+            _require_select(connection, sql)
+            _describe(connection, sources, where)
+            if steps:
+                connection.execute("create table numbered as select * from episodes")
+                connection.execute("create or replace view episodes as select * from numbered")
+                paths = connection.execute("select path from numbered order by row").fetchall()
+                stream = StepStream([Path(path) for (path,) in paths])
+                connection.register("steps", stream)
+            connection.execute("set lock_configuration = true")
+            return connection.sql(sql).to_arrow_table()
+        except duckdb.Error as error:
+            if stream is not None and stream.error is not None:
+                raise stream.error from None
+            names = ", ".join([*COLUMNS.names, *EXTRA])
+            raise ConfigError(
+                f"SQL: {_said(error)}; the view episodes has the columns {names}"
+                + ("" if steps else "; --steps offers the view steps")
+            ) from None
+
+
+def _require_select(connection: Any, sql: str) -> None:
+    """Let nothing pass that could do anything but answer."""
+    kinds = [
+        str(each.type).removeprefix("StatementType.") for each in connection.extract_statements(sql)
+    ]
+    if kinds != ["SELECT"]:
+        got = ", ".join(kinds) or "nothing"
+        raise ConfigError(
+            f"SQL: expected one SELECT, got {got}; a query reads the catalogue and changes nothing"
+        )
+
+
+def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
+    """Make the view `episodes`."""
+    selects = []
+    for number, source in enumerate(sources):
+        connection.register(f"source{number}", source.rows)
+        names = set(source.rows.schema.names)
+        prefix = source.prefix.rstrip("/") + "/" if source.prefix else ""
+        quoted = prefix.replace("'", "''")
+        columns = [f"'{quoted}' || path as path" if prefix else "path"]
+        columns += [f'"{name}"' for name in COLUMNS.names if name != "path"]
+        columns += [name if name in names else f"null::varchar as {name}" for name in EXTRA]
+        sound = "where error is null" if "error" in names else ""
+        selects.append(f"select {', '.join(columns)} from source{number} {sound}")
+    whole = " union all ".join(selects)
+    condition = f"where {where}" if where else ""
+    text = f"select * from ({whole}) {condition}"
+    if where:
+        _require_select(connection, text)
+    connection.execute(
+        f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
+    )
+
+
+def _said(error: Exception) -> str:
+    """The first line of what DuckDB said."""
+    return str(error).splitlines()[0]
+
+
+class StepStream:
+    """The steps of episodes as an Arrow stream that can be begun more than once.
+
+    Example:
+        >>> import pyarrow
+        >>> stream = StepStream([Path("a.mcap")])
+        >>> pyarrow.RecordBatchReader.from_stream(stream)  # doctest: +SKIP
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Read the first episode, for the columns.
+
+        Raises:
+            ConfigError: if there is no episode.
+            CoordlogError: if it cannot be read.
+        """
+        if not paths:
+            raise ConfigError("--steps: no episode to take steps of")
+        self._paths = paths
+        self._schema = open_logs(paths[:1]).to_table().schema
+        self.error: CoordlogError | None = None
+        """What went wrong while steps were read."""
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> object:
+        """Begin anew: DuckDB does for every mention of the view."""
+        reader = pa.RecordBatchReader.from_batches(self._schema, self._batches())
+        return reader.__arrow_c_stream__(requested_schema)
+
+    def _batches(self) -> Iterator[pa.RecordBatch]:
+        begun = 0
+        for group in batches(self._paths, GROUP):
+            try:
+                table = open_logs(group).to_table()
+                if not table.schema.equals(self._schema):
+                    raise ConfigError(
+                        f"--steps: {group[0]} has other columns than {self._paths[0]}; choose"
+                        " episodes of one robot and task with --where"
+                    )
+            except CoordlogError as error:
+                self.error = error
+                raise
+            at = table.schema.get_field_index("episode")
+            shifted = pa.array(
+                table.column("episode").to_numpy() + begun, self._schema.field(at).type
+            )
+            yield from table.set_column(at, self._schema.field(at), shifted).to_batches()
+            begun += len(group)

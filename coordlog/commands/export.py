@@ -1,0 +1,130 @@
+"""coordlog export: logs as another program's data set."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.errors import EXIT_PARTIAL, ConfigError
+
+if TYPE_CHECKING:
+    from coordlog.exchange.source import Entry
+
+
+def export(
+    path: Annotated[
+        list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")
+    ],
+    to: Annotated[
+        str,
+        typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the set; it appears when it is complete.")],
+    where: Annotated[
+        str,
+        typer.Option(help="Only episodes that satisfy an SQL condition.", metavar="SQL"),
+    ] = "",
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(
+            help='Camera of the model, or "pos=x,y,z lookat=x,y,z" [m]; again for more.',
+            metavar="NAME",
+        ),
+    ] = None,
+    size: Annotated[str, typer.Option(help="Of the images.", metavar="WxH")] = "224x224",
+    storage: Annotated[str, typer.Option(help="Of a rosbag2: mcap or sqlite3.")] = "mcap",
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    skip_broken: Annotated[
+        bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is at --out.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+) -> None:
+    """Write episodes as a LeRobot, Minari or robomimic data set, ROS 2 bags, Parquet or CSV.
+
+    Every number is the log's. The same episodes give the same bytes; the same command goes on where
+    an interrupted one stopped. Which row holds the final state is written down for each format.
+
+    Exit code 3 if something was left out because it is damaged or unfinished; each is named.
+
+    Examples:
+
+        coordlog export logs/ --to lerobot --out sets/table --where "clean and scene = 'table'"
+
+        coordlog export logs/ --to minari --out minari/
+    """
+    from coordlog.exchange.blocks import Options, format_of
+    from coordlog.exchange.blocks import export as write
+    from coordlog.exchange.source import entries
+
+    format_of(to)
+    width, height = _size(size)
+    options = Options(to, tuple(camera or ()), width, height, storage)
+    found, skipped = entries(path, skip_broken=skip_broken)
+    chosen = _matching(found, where) if where else found
+    with terminal.progress() as bar:
+        task = bar.add_task(f"exporting to {to}", total=len(chosen), note="")
+        done = write(
+            chosen,
+            out,
+            options,
+            jobs=jobs,
+            force=force,
+            advance=lambda episodes: bar.update(task, advance=episodes),
+        )
+    if as_json:
+        terminal.print_json({**done._asdict(), "out": str(out), "to": to, "skipped": skipped})
+    else:
+        verb = "was there already" if done.unchanged else "written"
+        resumed = f", {done.resumed} of {done.blocks} blocks resumed" if done.resumed else ""
+        terminal.out.print(
+            f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
+    for reason in skipped:
+        terminal.note(f"skipped: {reason}")
+    if skipped:
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    width, height = (int(each) for each in found.groups()) if found else (0, 0)
+    if not width or not height or width % 2 or height % 2:
+        raise ConfigError(
+            f"--size: expected two even numbers of pixels, WIDTHxHEIGHT, got '{text}'"
+        )
+    return width, height
+
+
+def _matching(found: list[Entry], where: str) -> list[Entry]:
+    """The episodes that satisfy an SQL condition.
+
+    Raises:
+        ConfigError: if it is none, or nothing satisfies it.
+    """
+    try:
+        import duckdb
+    except ModuleNotFoundError as error:
+        raise ConfigError("--where needs duckdb: pip install 'coordlog[exchange]'") from error
+    import pyarrow as pa
+
+    rows = pa.Table.from_pylist([{**entry.row, "row": i} for i, entry in enumerate(found)])
+    connection = duckdb.connect(config={"enable_external_access": "false"})
+    connection.register("episodes", rows)
+    try:
+        kept = connection.execute(f"select row from episodes where {where} order by row").fetchall()
+    except duckdb.Error as error:
+        names = ", ".join(found[0].row)
+        raise ConfigError(
+            f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
+        ) from error
+    if not kept:
+        raise ConfigError(f"--where: no episode of {len(found)} satisfies: {where}")
+    return [found[row] for (row,) in kept]

@@ -1,0 +1,117 @@
+"""coordlog index: a catalogue of the episodes of a folder, a pack or a store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL
+from coordlog.parallel import JOBS_HELP, mapped
+
+if TYPE_CHECKING:
+    from coordlog.catalog.index import Change, Mismatch
+    from coordlog.catalog.rows import Job
+
+SAID = 20
+"""Broken files that are printed; --json has all."""
+
+
+def index(
+    path: Annotated[
+        list[Path], typer.Argument(help="Folders, packs, or addresses such as s3://BUCKET/PREFIX.")
+    ],
+    compact: Annotated[
+        bool, typer.Option("--compact", help="Merge the catalogue's files into one.")
+    ] = False,
+    rebuild: Annotated[bool, typer.Option("--rebuild", help="Describe every file anew.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Hash every file, whatever its size and time say.")
+    ] = False,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Bring the catalogue of a folder up to date: a row per episode, for `query` and `select`.
+
+    Only files whose size or time have changed are read. The catalogue lies in `.catalog/` of the
+    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 1 if
+    --verify finds other bytes than were catalogued.
+
+    Examples:
+
+        coordlog index logs/
+
+        coordlog index PACK/ --verify
+    """
+    from coordlog.catalog.index import Catalog
+
+    reports: list[dict[str, Any]] = []
+    broken, mismatches = 0, 0
+    for each in path:
+        catalog = Catalog(each)
+        with terminal.progress() as bar:
+            task = bar.add_task(f"describing {each}", total=None, note="")
+
+            def run(
+                function: Callable[[Job], list[dict[str, Any]]], work: Sequence[Job]
+            ) -> Iterator[list[dict[str, Any]]]:
+                bar.update(task, total=sum(len(job.entries) for job in work))  # noqa: B023
+                for rows in mapped(function, work, jobs=jobs):
+                    bar.update(task, advance=len(rows))  # noqa: B023
+                    yield rows
+
+            change = catalog.rebuild(run=run) if rebuild else catalog.refresh(run=run)
+        wrong = catalog.verify() if verify else []
+        if compact:
+            catalog.compact()
+        bad = catalog.broken()
+        broken, mismatches = broken + len(bad), mismatches + len(wrong)
+        count = catalog.episodes().num_rows
+        reports.append(
+            {
+                "root": catalog.root,
+                "episodes": count,
+                **{name: getattr(change, name) for name in ("new", "changed", "gone")},
+                "broken": dict(bad),
+                "mismatches": [item._asdict() for item in wrong],
+            }
+        )
+        for note in change.notes:
+            terminal.note(note)
+        if not as_json:
+            _show(catalog.root, count, change, bad, wrong)
+    if as_json:
+        terminal.print_json(reports)
+    if mismatches:
+        raise typer.Exit(EXIT_CHECK_FAILED)
+    if broken:
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _show(
+    root: str,
+    count: int,
+    change: Change,
+    broken: list[tuple[str, str]],
+    wrong: list[Mismatch],
+) -> None:
+    terminal.out.print(
+        f"{root}: {count:,} episodes; {change.new:,} new, {change.changed:,} changed,"
+        f" {change.gone:,} gone",
+        highlight=False,
+    )
+    for item in wrong:
+        terminal.out.print(
+            f"{item.path}: expected the sha256 {item.wanted[:12]}, got {item.got[:12]}: its bytes"
+            " were changed",
+            style="red",
+            highlight=False,
+            markup=False,
+        )
+    for name, reason in broken[:SAID]:
+        terminal.note(f"skipped: {name}: {reason}")
+    if len(broken) > SAID:
+        terminal.note(f"skipped: {len(broken) - SAID} more; --json names them")

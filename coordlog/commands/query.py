@@ -1,0 +1,127 @@
+"""coordlog query: SQL over episodes and their steps."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.commands.asking import gathered
+from coordlog.errors import EXIT_PARTIAL, ConfigError
+from coordlog.parallel import JOBS_HELP
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MANY = 40
+"""Longer tables are shortened on a terminal; files have every row."""
+FORMATS = (".csv", ".json", ".parquet")
+
+
+def query(
+    sql: Annotated[str, typer.Argument(help="One SELECT over the view episodes.")],
+    path: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders, packs, stores, manifests or files; by default logs."),
+    ] = None,
+    steps: Annotated[
+        bool,
+        typer.Option("--steps", help="Offer the view steps, too; steps.episode = episodes.row."),
+    ] = False,
+    where: Annotated[
+        str, typer.Option(help="Restrict both views to the episodes that satisfy this SQL.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write every row to FILE.csv, FILE.json or FILE.parquet.", metavar="FILE"
+        ),
+    ] = None,
+    scan: Annotated[
+        bool, typer.Option(help="Look at the files first; --no-scan believes the catalogue.")
+    ] = True,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    as_json: Annotated[bool, typer.Option("--json", help="Print every row as JSON.")] = False,
+) -> None:
+    """Ask the catalogue; read-only, with no access to other files.
+
+    New and changed files are catalogued first. Exit code 3 if files are no sound episodes, or
+    episodes of a manifest are gone; each is named.
+
+    Examples:
+
+        coordlog query "select scene, count(*), avg(length), avg(clean::int) from episodes group by all"
+
+        coordlog query "select path from episodes where not clean order by length" logs/ --json
+
+        coordlog query "select max(abs(qvel[7])) from steps" logs/ --steps --where "scene = 'table'"
+    """
+    from coordlog.catalog.query import ask
+
+    if out is not None and out.suffix not in FORMATS:
+        raise ConfigError(f"--out: expected a name that ends in {', '.join(FORMATS)}, got {out}")
+    found = gathered(path or [Path("logs")], scan=scan, jobs=jobs)
+    table = ask(sql, found.sources, where=where, steps=steps)
+    if out is not None:
+        _write(table, out)
+        terminal.out.print(f"{out}: {table.num_rows:,} rows", highlight=False, markup=False)
+    elif as_json:
+        terminal.print_json(table.to_pylist())
+    else:
+        _show(table)
+    if found.left_out:
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _write(table: pa.Table, out: Path) -> None:
+    """The answer as a file, which must not be there."""
+    import json
+
+    from coordlog.record.places import Folder
+
+    if out.suffix == ".json":
+        data = json.dumps(table.to_pylist(), indent=2, ensure_ascii=False, default=str).encode()
+    elif out.suffix == ".csv":
+        import pyarrow.csv as arrow_csv
+
+        sink = io.BytesIO()
+        arrow_csv.write_csv(_flat(table), sink)
+        data = sink.getvalue()
+    else:
+        import pyarrow.parquet as pq
+
+        sink = io.BytesIO()
+        pq.write_table(table, sink)
+        data = sink.getvalue()
+    Folder(out.parent).create(out.name, data)
+
+
+def _flat(table: pa.Table) -> pa.Table:
+    """A table whose lists are JSON texts: CSV has no lists."""
+    import json
+
+    import pyarrow as pa
+
+    for at, field in enumerate(table.schema):
+        if pa.types.is_nested(field.type):
+            texts = [json.dumps(value) for value in table.column(at).to_pylist()]
+            table = table.set_column(at, field.name, pa.array(texts))
+    return table
+
+
+def _show(table: pa.Table) -> None:
+    rows = table.slice(0, MANY).to_pylist()
+    numbers = [
+        field.name for field in table.schema if str(field.type).startswith(("int", "double", "dec"))
+    ]
+    cells = [[_cell(value) for value in row.values()] for row in rows]
+    terminal.table(table.column_names, cells, right=numbers)
+    if table.num_rows > MANY:
+        terminal.note(f"{table.num_rows - MANY:,} more rows; --json or --out has them all")
+
+
+def _cell(value: object) -> object:
+    return f"{value:.6g}" if isinstance(value, float) else "-" if value is None else value

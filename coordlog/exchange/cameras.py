@@ -1,0 +1,175 @@
+"""Cameras after the fact: images of an episode from its log alone.
+
+The episode is simulated again from its first state and its actions. Only where every position and
+velocity comes back bit for bit is it rendered: what a camera shows is what the log proves. Without a
+display, through EGL or OSMesa.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from copy import copy
+
+import mujoco
+import numpy as np
+
+from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array
+from coordlog.errors import ConfigError, FormatError, SimulationError, unknown
+from coordlog.exchange.blocks import Options
+from coordlog.exchange.source import Loaded
+from coordlog.mjcf import load_model
+from coordlog.sim.physics import STATE
+from coordlog.sim.replay import Log, exact_here, replay
+
+_FREE = re.compile(r"pos=(?P<pos>[-\d.,e]+)\s+lookat=(?P<lookat>[-\d.,e]+)")
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
+    """The T + 1 states of an episode as images by camera, RGB (height, width, 3) uint8.
+
+    Raises:
+        FormatError: if the log does not come back bit for bit.
+        ConfigError: if the model has no such camera.
+        SimulationError: if there is no way to render here.
+    """
+    model = load_model(loaded.attachments.get(MODEL_XML), loaded.attachments.get(MODEL_MJB))
+    start = np.frombuffer(loaded.attachments.get(INITIAL_STATE, b""), np.float64)
+    require_exact(loaded, model, start)
+    views = {camera: view_of(camera, model) for camera in options.cameras}
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, start, STATE)
+    with Canvas(model, options.width, options.height) as canvas:
+        for qpos in loaded.episode.qpos:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            yield {camera: canvas.shown(data, view) for camera, view in views.items()}
+
+
+class Canvas:
+    """An offscreen image of a model, the same buffers for every state; a context manager.
+
+    Example:
+        `with Canvas(model, 224, 224) as canvas: image = canvas.shown(data, view)`
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        """Make the graphics context: MUJOCO_GL's choice, or EGL where there is no display.
+
+        Raises:
+            SimulationError: if there is none to be had.
+        """
+        self._model = copy(model)
+        self._model.vis.global_.offwidth = width
+        self._model.vis.global_.offheight = height
+        self._area = mujoco.MjrRect(0, 0, width, height)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=10_000)
+        self._options = mujoco.MjvOption()
+        self._image = np.empty((height, width, 3), np.uint8)
+        try:
+            if "MUJOCO_GL" in os.environ or any(name in os.environ for name in _DISPLAYS):
+                from mujoco.gl_context import GLContext
+            else:
+                from mujoco.egl import GLContext
+            self._graphics = GLContext(width, height)
+            self._graphics.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
+            raise SimulationError(
+                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and libgl1-mesa-dri) or set MUJOCO_GL"
+            ) from error
+
+    def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> Array:
+        """One state through one camera, RGB (height, width, 3) uint8, top row first."""
+        mujoco.mjv_updateScene(
+            self._model,
+            data,
+            self._options,
+            None,
+            view,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._scene,
+        )
+        mujoco.mjr_render(self._area, self._scene, self._context)
+        mujoco.mjr_readPixels(self._image, None, self._area, self._context)
+        return self._image[::-1].copy()
+
+    def __enter__(self) -> Canvas:
+        """For `with`."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the graphics context."""
+        self._context.free()
+        self._graphics.free()
+
+
+def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
+    """Simulate an episode again and hold it to the log, bit for bit.
+
+    Raises:
+        FormatError: naming the first step that differs, or what about this machine cannot give the
+            same bits.
+    """
+    episode = loaded.episode
+    reason = exact_here(episode.header)
+    if reason:
+        raise FormatError(
+            f"{loaded.path}: {reason}: images are rendered only of states that are proven; use that MuJoCo, or leave --camera away"
+        )
+    trace = replay([Log(episode.header, model, start, episode.action)])[0]
+    for name in ("qpos", "qvel"):
+        logged, again = getattr(episode, name), trace.columns[name]
+        different = np.flatnonzero((logged.view(np.uint64) != again.view(np.uint64)).any(axis=1))
+        if len(different):
+            raise FormatError(
+                f"{loaded.path}: step {different[0]}: {name} simulated again differs from the log; `coordlog check` says more"
+            )
+
+
+def view_of(camera: str, model: mujoco.MjModel) -> mujoco.MjvCamera:
+    """A camera of the model by name, or a free one, "pos=x,y,z lookat=x,y,z" [m].
+
+    Raises:
+        ConfigError: if the model has no camera of this name, or a free one cannot be understood.
+    """
+    found = _FREE.fullmatch(camera.strip())
+    if found is None:
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        if number >= 0:
+            view = mujoco.MjvCamera()
+            view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            view.fixedcamid = number
+            return view
+        known = [model.camera(i).name for i in range(model.ncam)]
+        if known:
+            raise unknown("camera", camera, known)
+        raise ConfigError(
+            f"unknown camera '{camera}': the model has none; place one with --camera \"pos=1.5,-1,1.2 lookat=0,0,0.8\""
+        )
+    try:
+        place, target = (np.array(found[key].split(","), float) for key in ("pos", "lookat"))
+        away = target - place
+    except ValueError:
+        raise ConfigError(
+            f"--camera '{camera}': expected three numbers each for pos and lookat [m]"
+        ) from None
+    distance = float(np.linalg.norm(away))
+    if len(away) != 3 or not distance:
+        raise ConfigError(f"--camera '{camera}': expected two different points of three numbers")
+    view = mujoco.MjvCamera()
+    view.type = mujoco.mjtCamera.mjCAMERA_FREE
+    view.lookat[:], view.distance = target, distance
+    view.azimuth = np.degrees(np.arctan2(away[1], away[0]))
+    view.elevation = np.degrees(np.arcsin(away[2] / distance))
+    return view
+
+
+def label(camera: str) -> str:
+    """A camera's name as part of a feature's: free cameras by their place."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", camera.replace("-", "m")).strip("_")

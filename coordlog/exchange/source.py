@@ -1,0 +1,159 @@
+"""An episode file as an exporter sees it: read once, named, hashed, and its origin as plain
+values.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import zstandard
+
+from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
+from coordlog.errors import FormatError
+from coordlog.record.dataset import find_files
+from coordlog.record.reader import read_attachments, read_episode, read_summary
+
+_FILTERED = ("sha256", "scene", "clean", "success")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One episode of an export, known from the ends of its file.
+
+    Example:
+        `Entry.of(Path("logs/a.mcap")).row["clean"]`
+    """
+
+    path: Path
+    header: Header
+    result: Result
+
+    @classmethod
+    def of(cls, path: Path) -> Entry:
+        """Read both ends of an episode file.
+
+        Raises:
+            FormatError: if it is not a finished episode.
+        """
+        header, result, _ = read_summary(path)
+        return cls(path, header, result)
+
+    @cached_property
+    def row(self) -> Json:
+        """What `--where` may ask about, and what says where an exported episode comes from; all
+        but the file's own sha256.
+        """
+        episode, env, policy = self.header.episode, self.header.env, self.header.policy
+        lineage = self.header.lineage
+        return {
+            "file": self.path.name,
+            "kind": kind_of(self.header),
+            "robot": str(episode.get("robot", "")),
+            "scene": str(episode.get("scene", "")),
+            "split": str(episode.get("split", "")),
+            "seed": _integer(episode.get("seed")),
+            "index": _integer(episode.get("index")),
+            "policy": str(policy.get("name") or policy.get("kind", "")),
+            "length": self.result.length,
+            "control_period": float(episode.get("control_period", 0.0)),
+            "start_time": int(episode["start_time"]),
+            "return_sum": float(sum(self.result.returns)),
+            "success": self.result.success,
+            "clean": self.result.clean,
+            "terminated": self.result.terminated,
+            "truncated": self.result.truncated,
+            "aborted": self.result.aborted,
+            "transform": str(lineage.get("transform", "")),
+            "parents": ",".join(lineage.get("parents", ())),
+            "digest": self.result.digest,
+            "coordlog_version": str(env.get("coordlog_version", "")),
+            "mujoco_version": str(env.get("mujoco_version", "")),
+            "schema_version": int(episode["schema_version"]),
+        }
+
+
+class Loaded:
+    """An episode in memory, with the bytes it was read from already hashed."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the file.
+
+        Raises:
+            FormatError: if it is not a finished, undamaged episode.
+        """
+        self.path = path
+        self.episode: Episode = read_episode(path)
+        self.sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+
+    @cached_property
+    def provenance(self) -> Json:
+        """Where the episode comes from: flat, of strings, numbers and truth values."""
+        entry = Entry(self.path, self.episode.header, self.episode.result)
+        return {"sha256": self.sha256, **entry.row}
+
+    def named(self, separator: str = ".") -> Json:
+        """The origin for a place where every entry costs time: what people filter by, each under
+        its own name, and all of it as JSON text.
+        """
+        chosen = {f"coordlog{separator}{key}": self.provenance[key] for key in _FILTERED}
+        text = json.dumps(self.provenance, ensure_ascii=False)
+        return chosen | {f"coordlog{separator}origin": text}
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """Model and first state, by name."""
+        return read_attachments(self.path)
+
+    @property
+    def model_text(self) -> str:
+        """MJCF of robot and scene, or "" if the log has none."""
+        frame = self.attachments.get(MODEL_XML, b"")
+        try:
+            return zstandard.ZstdDecompressor().decompressobj().decompress(frame).decode()
+        except (zstandard.ZstdError, UnicodeDecodeError):
+            return ""
+
+
+def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry], list[str]]:
+    """The episodes under some paths in the order of their names, and what was skipped and why.
+
+    Raises:
+        FormatError: if there are none, or one is broken and they are not to be skipped.
+    """
+    found, skipped = find_files(paths), []
+    known: list[Entry] = []
+    for path in found.paths:
+        try:
+            known.append(Entry.of(path))
+        except FormatError as error:
+            if not skip_broken:
+                raise FormatError(f"{error}; --skip-broken exports the others") from None
+            skipped.append(str(error))
+    skipped += [f"{part}: unfinished; `coordlog recover` makes an episode" for part in found.parts]
+    if not known:
+        where = ", ".join(map(str, paths))
+        raise FormatError(f"no episodes (.mcap) under {where}: there is nothing to export")
+    return known, skipped
+
+
+def kind_of(header: Header) -> str:
+    """Kind of an episode: "simulated" (replays bit for bit) or "observed" (came from outside)."""
+    return str(getattr(header, "kind", header.episode.get("kind", "simulated")))
+
+
+def task_text(header: Header) -> str:
+    """One sentence that says what the robot was to do: LeRobot's `task`."""
+    said = header.episode.get("task")
+    if said:
+        return str(said)
+    scene = str(header.episode.get("scene", ""))
+    return f"reach the goals ({scene})" if scene else "unnamed task"
+
+
+def _integer(value: object) -> int:
+    """-1 where nothing is known: columns of files have one type."""
+    return value if isinstance(value, int) and not isinstance(value, bool) else -1

@@ -1,0 +1,90 @@
+"""Images come of proven states alone, and become what LeRobot shows."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
+from coordlog.errors import ConfigError, FormatError, SimulationError
+from coordlog.exchange import cameras
+from coordlog.exchange.blocks import Options
+from coordlog.exchange.source import Loaded
+from coordlog.mjcf import load_model
+
+PLANAR = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
+CAMERA = "pos=0.3,-0.2,2 lookat=0.3,0,0"
+SMALL = Options("lerobot", (CAMERA,), 64, 48)
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return Loaded(PLANAR)
+
+
+@pytest.fixture(scope="module")
+def model(loaded):
+    return load_model(loaded.attachments.get(MODEL_XML), loaded.attachments.get(MODEL_MJB))
+
+
+@pytest.fixture(scope="module")
+def shown(loaded):
+    try:
+        return [images[CAMERA] for images in cameras.frames(loaded, SMALL)]
+    except SimulationError:
+        pytest.skip("no OpenGL here")
+
+
+def test_every_state_is_seen_and_the_robot_moves(shown, loaded):
+    assert len(shown) == len(loaded.episode) + 1
+    assert all(image.shape == (48, 64, 3) for image in shown)
+    assert (shown[0] != shown[-1]).any()
+    assert shown[0].std() > 5
+
+
+def test_a_log_that_does_not_come_back_is_not_shown(loaded, model):
+    start = np.frombuffer(loaded.attachments[INITIAL_STATE], np.float64).copy()
+    cameras.require_exact(loaded, model, start)
+    start[1] += 1e-12
+    with pytest.raises(FormatError, match="step 0: qpos simulated again differs"):
+        cameras.require_exact(loaded, model, start)
+
+
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        ("nowhere", "unknown camera 'nowhere'; choose one of: front"),
+        ("pos=1,2 lookat=0,0,0", "expected"),
+        ("pos=0,0,0 lookat=0,0,0", "two different points"),
+        ("pos=a,b,c lookat=0,0,0", "unknown camera"),
+    ],
+)
+def test_a_camera_that_is_none_is_said(model, camera, said):
+    with pytest.raises(ConfigError, match=said):
+        cameras.view_of(camera, model)
+
+
+def test_a_free_camera_looks_where_it_is_told(model):
+    view = cameras.view_of("pos=1,1,1 lookat=0,0,1", model)
+    assert (view.distance, view.azimuth, view.elevation) == pytest.approx((2**0.5, -135.0, 0.0))
+
+
+@pytest.mark.usefixtures("shown")
+def test_a_set_with_a_camera_has_a_video_of_every_step(tmp_path):
+    import av
+    from robovet.checks import run_doctor
+    from robovet.dataset import LeRobotDataset
+
+    command = [sys.executable, "-m", "coordlog.cli", "export", str(PLANAR), "--to", "lerobot"]
+    command += ["--out", str(tmp_path / "set"), "--camera", CAMERA, "--size", "64x64"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (video,) = (tmp_path / "set").rglob("*.mp4")
+    with av.open(str(video)) as file:
+        stamps = [float(frame.time) for frame in file.decode(video=0)]
+    np.testing.assert_allclose(stamps, np.arange(len(Loaded(PLANAR).episode)) / 25, atol=1e-4)
+    report = run_doctor(LeRobotDataset(tmp_path / "set"))
+    assert (report.counts["FAIL"], report.counts["WARN"]) == (0, 0)
