@@ -19,9 +19,11 @@ import numpy as np
 from coordlog.config import build
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
 from coordlog.errors import FormatError
-from coordlog.kinematics.base_motion import Logged
+from coordlog.kinematics.base_motion import Logged, speeds
 from coordlog.kinematics.inverse_dynamics import Inverse
+from coordlog.kinematics.levers import HINGE, SLIDE, strokes
 from coordlog.kinematics.motion_bounds import bounds
+from coordlog.kinematics.pairs import distance_bounds, overestimate
 from coordlog.kinematics.support import FALLING, Footing
 from coordlog.mjcf import load_model
 from coordlog.robots.robot import Robot
@@ -47,7 +49,6 @@ class Verdict(NamedTuple):
 class Bodies(NamedTuple):
     """Where everything is at n configurations."""
 
-    qpos: Array  # (n, n_q)
     centre: Array  # (n, n_geom, 3) m
     frame: Array  # (n, n_geom, 9)
     com: Array  # (n, 2) m
@@ -81,41 +82,54 @@ class SceneChecker:
             initial: mjSTATE_INTEGRATION vector whose goals and obstacles hold throughout.
 
         Raises:
-            FormatError: if the model lacks what the robot names, or has joints other than hinges on
-                a free base.
+            FormatError: if the model lacks what the robot names.
         """
         self._model, self._data = copy(model), mujoco.MjData(model)
         mujoco.mj_setState(model, self._data, initial, STATE)
-        self._model.pair_margin[:] = NEVER  # soles on the floor
         self._time, self._margin = time, config.balance_margin
         self._logged = Logged(model, robot, time=time, qpos=qpos)
         self._footing, self._joints = Footing(model, robot, self._logged), self._logged.joints
         self._corners = self._footing.corners
-        found = bounds(model, self._joints, self._corners)
+        ways = strokes(model, qpos)
+        soles = [model.geom(name).id for name in robot.soles]
+        found = bounds(model, self._joints, self._corners, soles=soles, ways=ways)
         self._keep, self._index, self._mass = found.keep, found.place, found.mass
         self.pairs = found.pairs
         """Geom ids of the pairs that are looked at, (P', 2).
 
-        Balance is one more pair after them.
+        Balance is one more pair after them, the ends of the slides' ways another.
         """
-        slides = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_SLIDE
-        self.units: tuple[str, ...] = tuple("m" if slide else "rad" for slide in slides)
+        kinds = model.jnt_type[self._joints]
+        self.units: tuple[str, ...] = tuple("m" if kind == SLIDE else "rad" for kind in kinds)
         """Unit of each action joint."""
-        self.continuous: tuple[int, ...] = tuple(
-            np.flatnonzero(~slides & (model.jnt_limited[self._joints] == 0)).tolist()
-        )
+        turns = (kinds == HINGE) & (model.jnt_limited[self._joints] == 0)
+        self.continuous: tuple[int, ...] = tuple(np.flatnonzero(turns).tolist())
         """Which of the action joints turn without end."""
+        self._slides: Array = np.flatnonzero(kinds == SLIDE)
+        self._ways: Array = ways[np.array(self._joints)[self._slides]]
+        self._unsure = overestimate(model, self.pairs)
+        self._listed = self._index[model.pair_geom1, model.pair_geom2] >= 0
+        self._set_margin(0.0)
         self.inverse = Inverse(self._model, self._logged, self._footing)
-        self.reach: Array = found.change[:, self._joints]
-        """Metres by which a radian of each action joint changes the distance of each pair, at most,
+        change = found.change
+        if len(self._slides):
+            change = np.concatenate([change, np.zeros((1, change.shape[1]))])
+            change[-1, np.array(self._joints)[self._slides]] = 1.0
+        self.reach: Array = change[:, self._joints]
+        """Metres by which a radian or metre of each action joint changes each slack, at most,
         (P, n_u)."""
-        self._drift = (
-            np.delete(_speeds(model, time, qpos), self._joints, axis=1)
-            @ np.delete(found.change, self._joints, axis=1).T
-        )
+        others = np.delete(speeds(model, time, qpos), self._joints, axis=1)
+        self._drift = others @ np.delete(change, self._joints, axis=1).T
         if self._corners:  # a corner that comes to or leaves the floor changes the balance at once
             lifted = np.flatnonzero(np.diff(self._footing.standing, axis=0).any(axis=1))
-            self._drift[np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1), -1] = np.inf
+            rows = np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1)
+            self._drift[rows, len(self.pairs)] = np.inf
+
+    def _set_margin(self, margin: float) -> None:
+        """Let the engine list contacts of all pairs that are looked at, up to a distance."""
+        model = self._model
+        model.geom_margin[:], model.geom_gap[:], model.pair_gap[:] = margin, 0.0, 0.0
+        model.pair_margin[:] = np.where(self._listed, margin, NEVER)
 
     @classmethod
     def of(cls, episode: Episode, attachments: Mapping[str, bytes]) -> SceneChecker:
@@ -153,7 +167,7 @@ class SceneChecker:
         Pairs must keep `clearance` [m].
         """
         model, data = self._model, self._data
-        model.geom_margin[:] = clearance
+        self._set_margin(clearance)
         n, balance = len(q), len(self.pairs)
         depth, what = np.zeros(n), np.full(n, -1)
         com, corners = np.zeros((n, 2)), np.zeros((n, len(self._corners), 3))
@@ -170,10 +184,14 @@ class SceneChecker:
                 worst = int(short.argmax())
                 if short[worst] > 0.0:
                     depth[i], what[i] = short[worst], pair[worst]
+        others = []
         if self._corners:
-            short = -self._balance(time, com, corners)
+            others.append(-self._balance(time, com, corners))
+        if len(self._slides):
+            others.append(-self._way_left(q))
+        for more, short in enumerate(others):
             worse = short > depth
-            depth, what = np.where(worse, short, depth), np.where(worse, balance, what)
+            depth, what = np.where(worse, short, depth), np.where(worse, balance + more, what)
         return Verdict(what < 0, depth, what)
 
     def moving(self, time: Array, q: Array, velocity: Array, acceleration: Array) -> Verdict:
@@ -181,9 +199,8 @@ class SceneChecker:
         feet, with the task's margin.
         """
         short = self._margin - self.inverse(time, q, velocity, acceleration).balance
-        return Verdict(
-            short <= 0.0, np.maximum(short, 0.0), np.where(short > 0.0, len(self.pairs) + 1, -1)
-        )
+        what = np.where(short > 0.0, len(self.reach), -1)
+        return Verdict(short <= 0.0, np.maximum(short, 0.0), what)
 
     def slack(self, time: Array, q: Array, clearance: float) -> Array:
         """Distance left to each pair, (n, P) [m]: exact up to NEAR, beyond it a lower bound.
@@ -191,7 +208,7 @@ class SceneChecker:
         And the margin of balance.
         """
         bodies = self._place(self._logged.whole(time, q))
-        distance = self._apart(bodies.centre)
+        distance = distance_bounds(self._model, self._data, self.pairs, bodies.centre)
         row, pair = np.nonzero(distance < clearance + NEAR)
         model, data, last = self._model, self._data, -1
         first, second = self.pairs.T.tolist()
@@ -201,12 +218,13 @@ class SceneChecker:
             distance[i, p] = mujoco.mj_geomDistance(
                 model, data, first[p], second[p], clearance + NEAR, None
             )
-        distance -= clearance * self._keep
-        if not self._corners:
-            return np.asarray(distance)
-        return np.concatenate(
-            [distance, self._balance(time, bodies.com, bodies.corners)[:, None]], axis=1
-        )
+        distance -= clearance * self._keep + self._unsure
+        columns = [distance]
+        if self._corners:
+            columns.append(self._balance(time, bodies.com, bodies.corners)[:, None])
+        if len(self._slides):
+            columns.append(self._way_left(q)[:, None])
+        return np.concatenate(columns, axis=1)
 
     def drift(self, start: Array, stop: Array) -> Array:
         """Speed at which each slack may change within [start, stop] because the base and the other
@@ -228,7 +246,7 @@ class SceneChecker:
         model, data, least = self._model, self._data, NEAR
         for row in self._logged.whole(time, q):
             data.qpos[:] = row
-            model.geom_margin[:] = least
+            self._set_margin(least)
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             if data.ncon:
@@ -240,10 +258,26 @@ class SceneChecker:
 
     def describe(self, what: int) -> str:
         """Name a pair."""
-        if what >= len(self.pairs):
-            return f"the {'centre of mass' if what == len(self.pairs) else 'zero-moment point'} and the edge of its support"
-        first, second = (self._model.geom(int(geom)).name for geom in self.pairs[what])
-        return f"{first} and {second}"
+        if what < len(self.pairs):
+            first, second = (self._name(int(geom)) for geom in self.pairs[what])
+            return f"{first} and {second}"
+        if what == len(self.reach):
+            return "the zero-moment point and the edge of its support"
+        if self._corners and what == len(self.pairs):
+            return "the centre of mass and the edge of its support"
+        return "a slide and the end of its way"
+
+    def _name(self, geom: int) -> str:
+        name = self._model.geom(geom).name
+        if name:
+            return str(name)
+        body = self._model.body(int(self._model.geom_bodyid[geom])).name
+        return f"a geom of {body or 'an unnamed body'}"
+
+    def _way_left(self, q: Array) -> Array:
+        """Metres that a slide has left to either end of its way, the least of all, (n,)."""
+        at = q[:, self._slides]
+        return np.asarray(np.minimum(at - self._ways[:, 0], self._ways[:, 1] - at).min(axis=1))
 
     def _place(self, qpos: Array) -> Bodies:
         model, data, n = self._model, self._data, len(qpos)
@@ -265,51 +299,10 @@ class SceneChecker:
                 (self._mass @ mid)[:2],
                 site[self._corners],
             )
-        return Bodies(qpos, centre, frame, com, corners)
-
-    def _apart(self, centre: Array) -> Array:
-        """Lower bounds on all distances, (n, P') [m]: sphere to sphere, and to planes and boxes of
-        the world as they are.
-        """
-        model, data = self._model, self._data
-        first, second = self.pairs.T
-        bound = (
-            np.linalg.norm(centre[:, first] - centre[:, second], axis=2)
-            - model.geom_rbound[first]
-            - model.geom_rbound[second]
-        )
-        for geom in np.unique(self.pairs[model.geom_bodyid[self.pairs] == 0]):
-            columns = np.flatnonzero((first == geom) | (second == geom))
-            other = np.where(first[columns] == geom, second[columns], first[columns])
-            away = (centre[:, other] - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
-            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-                bound[:, columns] = away[..., 2] - model.geom_rbound[other]
-            elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-                outside = np.maximum(np.abs(away) - model.geom_size[geom], 0.0)
-                bound[:, columns] = np.linalg.norm(outside, axis=2) - model.geom_rbound[other]
-        return np.asarray(bound)
+        return Bodies(centre, frame, com, corners)
 
     def _balance(self, time: Array, com: Array, corners: Array) -> Array:
         """Margin of the centre of mass over the feet, less the one the task asks for, (n,) [m]."""
         return np.asarray(
             np.maximum(self._footing.margin(time, com, corners) - self._margin, FALLING)
         )
-
-
-def _speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:
-    """How fast every joint turns between logged configurations, at most [rad/s], and last the base
-    shifts [m/s], (T - 1, n_jnt + 1).
-    """
-    moved = np.zeros((len(time) - 1, model.njnt + 1))
-    for joint in range(model.njnt):
-        place = int(model.jnt_qposadr[joint])
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
-            moved[:, joint] = np.abs(np.diff(qpos[:, place]))
-        else:
-            moved[:, -1] = np.linalg.norm(np.diff(qpos[:, place : place + 3], axis=0), axis=1)
-            turn = qpos[:, place + 3 : place + 7]
-            half = np.arccos(np.clip(np.abs((turn[1:] * turn[:-1]).sum(axis=1)), 0.0, 1.0))
-            moved[:, joint] = 4.0 * np.tan(
-                half / 2.0
-            )  # a straight line between quaternions turns fastest in its middle
-    return np.asarray(moved / np.diff(time)[:, None])
