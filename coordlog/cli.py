@@ -17,6 +17,7 @@ from coordlog.commands import (
     check,
     diff,
     export,
+    import_,
     index,
     info,
     pack,
@@ -58,6 +59,7 @@ app.command("select")(select.select)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)
+app.command("import")(import_.import_)
 
 
 def _version(wanted: bool) -> None:

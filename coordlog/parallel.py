@@ -182,4 +182,8 @@ def _cluster(address: str) -> Iterator[Any]:
         ray.shutdown()
 
 
-_ALONE: dict[str, Any] = {"address": "local", "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+_ALONE: dict[str, Any] = {
+    "address": "local",
+    "include_dashboard": False,
+    "_node_ip_address": "127.0.0.1",
+}

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from coordlog.commands.policies import about, make_policy, policy_file
+from coordlog.contracts import Policy
 from coordlog.episode import Array, Json
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GOAL_PARTS, STATE_BOUND
-from coordlog.sim.rollout import Policy
 
 FOREIGN = ".zip"
 PEERS = Path(__file__).parents[1] / "experiments" / "speed"

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Problem
 from coordlog.episode import Array, Header
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log, task_of
-from coordlog.sim.sampler import Problem
 from coordlog.sim.scoring import Score
 from coordlog.sim.tracking import Drive, Run, run
 from experiments.measure import SEED, SPLIT

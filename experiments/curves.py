@@ -23,6 +23,8 @@ from experiments.recipes import row_names
 
 FOLDER = Path(__file__).parent / "curves"
 LIVE = "digrad-live"
+TICK = 0.04
+"""The control step that budgets are counted in [s]; a decision may last several."""
 WITHIN = 0.1
 """A score this close to its last value counts as saturated."""
 SETTLED = 0.75
@@ -80,18 +82,26 @@ def kept(scene: str = "*", row: str = "*", *, folder: Path = FOLDER) -> list[Pat
 
 
 def saturated(scene: str, *, folder: Path = FOLDER) -> int | None:
-    """Live steps from which on the score of the slowest seed stays within WITHIN of its last.
+    """Control steps of TICK seconds from which on the score of the slowest seed stays within WITHIN
+    of its last.
 
     None without curves, or where one of them was still on its way when the run ended (SETTLED), or
     had learnt nothing (LEARNT).
     """
-    curves = [load_history(path).rows for path in kept(scene, LIVE, folder=folder)]
+    found = [load_history(path) for path in kept(scene, LIVE, folder=folder)]
+    curves = [history.rows for history in found]
     steps = [_from(rows) for rows in curves]
     settled = all(
         step <= SETTLED * int(rows[-1]["step"]) and rows[-1]["success"] >= LEARNT
         for step, rows in zip(steps, curves, strict=True)
     )
-    return max(steps) if steps and settled else None
+    ticks = [step * _period(each) / TICK for step, each in zip(steps, found, strict=True)]
+    return round(max(ticks)) if ticks and settled else None
+
+
+def _period(history: History) -> float:
+    """The control period of a run [s]."""
+    return float(history.said.get("env", {}).get("config", {}).get("control_period", TICK))
 
 
 def _from(rows: list[dict[str, Any]]) -> int:

@@ -22,10 +22,10 @@ import numpy as np
 
 from coordlog.commands.environment import make_env
 from coordlog.commands.policies import about, policy_file
+from coordlog.contracts import Policy
 from coordlog.episode import Json
 from coordlog.errors import CoordlogError
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.rollout import Policy
 from experiments import tables
 from experiments.actors import FOREIGN, actor
 from experiments.measure import SEED, SPLIT, decisions, figures, run
@@ -40,6 +40,8 @@ BARE = "bare"
 --no-shield`)."""
 RADII = {"3 cm": 0.03, "2 cm": 0.02}
 """An episode ends at success, so each radius is an evaluation of its own."""
+HOME = "from home"
+"""The key of a policy's figures at 3 cm from the pose of that name; all others are from stand."""
 
 
 def environment(
@@ -50,6 +52,7 @@ def environment(
     torso: str,
     envs: int,
     threads: int = 0,
+    start: str = "stand",
     **constants: Any,
 ) -> BatchEnv:
     """The environment a policy was trained in, with this goal radius, torso, and whatever other
@@ -58,7 +61,7 @@ def environment(
     file = None if policy.endswith(FOREIGN) else policy_file(policy, scene)
     like = about(file)["env"] if file else None
     constants |= {"goal_radius": radius, "locked": SPINE if torso == "locked" else ()}
-    return make_env(scene, {"env": constants}, start="stand", envs=envs, threads=threads, like=like)
+    return make_env(scene, {"env": constants}, start=start, envs=envs, threads=threads, like=like)
 
 
 def evaluate(
@@ -66,8 +69,12 @@ def evaluate(
 ) -> tables.Table:
     """The table of one row."""
     table: tables.Table = {"row": row, "scene": scene, "torso": torso, "training_seed": seed}
-    for name, radius in RADII.items():
-        env = environment(scene, policy, radius=radius, torso=torso, envs=min(ENVS, episodes))
+    judged = {name: (radius, "stand") for name, radius in RADII.items()}
+    if not policy.endswith(FOREIGN) and policy_file(policy, scene):
+        judged[HOME] = RADII["3 cm"], "home"
+    for name, (radius, start) in judged.items():
+        envs = min(ENVS, episodes)
+        env = environment(scene, policy, radius=radius, torso=torso, envs=envs, start=start)
         chosen, said = _acting(row, policy, env)
         table["policy"] = said
         table[name] = figures(run(env, chosen, episodes=episodes))

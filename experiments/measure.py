@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.rollout import Policy, rollout
+from coordlog.sim.rollout import rollout
 from coordlog.sim.scoring import Score, Scoreboard
 from experiments.nearest import Nearest
 from experiments.stats import rate, spread

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.errors import CoordlogError
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.rollout import Policy
 from coordlog.sim.scoring import Score
 from coordlog.sim.tracking import Run
 from coordlog.smooth import metrics

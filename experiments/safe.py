@@ -17,13 +17,13 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.avoidance import farthest
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
-from coordlog.sim.rollout import Policy
-from coordlog.sim.tracking import Drive, Run
+from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.recorded import FASTER, fastest_of
@@ -74,7 +74,7 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
     task, model = env.task, where.log.model
     config, data = task.config, mujoco.MjData(model)
     mujoco.mj_setState(model, data, where.log.start, mujoco.mjtState.mjSTATE_INTEGRATION)
-    drive = Drive(task, data.ctrl)
+    target, command = data.ctrl[None].copy(), np.zeros((1, len(task.servos)))
     palms = [model.site(arm.palm).id for arm in task.robot.arms]
     links = model.site_bodyid[palms]
     mass = model.body_mass / model.body_mass.sum()
@@ -82,15 +82,15 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
     fixed: dict[str, Array] = {"goals": goals.ravel(), "spheres": spheres.ravel()}
     path, actions = list[Array](), list[Array]()
     while True:
-        data.qpos[task.qpos_index] = drive.target
+        path.append(target[0, task.servos])
+        data.qpos[task.qpos_index] = path[-1]
         mujoco.mj_kinematics(model, data)
-        path.append(drive.target)
         here = data.site_xpos[palms]
         arrived = farthest(here, goals) < config.goal_radius
         if arrived or len(actions) == config.max_steps:
             break
         parts = fixed | {
-            "angles": drive.target,
+            "angles": path[-1],
             "palms": here.ravel(),
             "difference": (goals - here).ravel(),
             "com": (mass @ data.xipos)[:2],
@@ -101,7 +101,8 @@ def kinematic(env: BatchEnv, where: Case, policy: Policy) -> Rollout:
             np.float32
         )
         actions.append(action)
-        drive.step(action)
+        command = task.filtered(command, action[None])
+        target = task.target(target, command)
     if arrived:
         path += _closing(env, path[-1], goals)
     kept = np.unique(np.linspace(0, len(path) - 1, min(KNOTS, len(path))).round().astype(int))

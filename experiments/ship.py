@@ -1,9 +1,13 @@
 """Ship a policy with the package, or measure again those that ship.
 
-    python -m experiments.ship runs/table-logs-s0      copy its best policy to coordlog/policies/,
-    write the card, measure both goal radii python -m experiments.ship runs/spheres-s0 --shield
-    --last      its last policy instead, and one that is to act behind the shield python -m
-    experiments.ship                         measure every shipped policy again
+    python -m experiments.ship runs/table-logs-s0
+        copy its best policy to coordlog/policies/, write the card, measure both goal radii
+    python -m experiments.ship runs/spheres-s0 --shield --last
+        its last policy instead, and one that is to act behind the shield
+    python -m experiments.ship runs/table-live-s0 --kind live
+        as `--policy pretrained:live`, beside the one that ships already
+    python -m experiments.ship
+        measure every shipped policy again
 
 A card (SCENE.json) says how its policy was trained and what it does on held-out goals.
 """
@@ -17,18 +21,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from coordlog.commands.policies import FILES, PRETRAINED, SHIPPED, SUFFIX, about
+from coordlog.commands.policies import FILES, KINDS, PRETRAINED, SHIPPED, SUFFIX, about
 from coordlog.errors import ConfigError, CoordlogError
 from coordlog.train.run import recall
 from experiments import tables
-from experiments.evaluate import EPISODES, RADII, evaluate
+from experiments.evaluate import EPISODES, HOME, RADII, evaluate
 from experiments.training import command, cost
 
 MAX_BYTES = 1_000_000
 ROW = "shipped"
 
 
-def ship(folder: Path, *, shield: bool, last: bool, episodes: int) -> None:
+def ship(folder: Path, *, shield: bool, last: bool, kind: str, episodes: int) -> None:
     """Make the best policy of a run the one that ships for its scene, or the last; behind the
     shield if it is to be.
 
@@ -50,36 +54,37 @@ def ship(folder: Path, *, shield: bool, last: bool, episodes: int) -> None:
         )
     scene = about(source)["scene"]
     SHIPPED.mkdir(exist_ok=True)
-    target = SHIPPED / f"{scene}{SUFFIX}"
+    stem = f"{scene}-{kind}" if kind else scene
+    target = SHIPPED / f"{stem}{SUFFIX}"
     shutil.copyfile(source, target)
     target.chmod(0o644)
-    how = training(folder, about(source))
-    tables.write(
-        {"shield": shield, "training": how}, scene, folder=SHIPPED
-    )  # what is measured is what ships; all that `again` needs
-    _write_card(scene, how, measured(scene, how["cost"], episodes=episodes), shield=shield)
+    card = {"scene": scene, "kind": kind, "shield": shield}
+    card["training"] = training(folder, about(source))
+    tables.write(card, stem, folder=SHIPPED)  # what is measured is what ships
+    again(stem, episodes=episodes)
 
 
-def again(scene: str, *, episodes: int) -> None:
-    """Measure a shipped policy again, and say so on its card."""
-    card = json.loads((SHIPPED / f"{scene}.json").read_text(encoding="utf-8"))
-    _write_card(
-        scene,
-        card["training"],
-        measured(scene, card["training"]["cost"], episodes=episodes),
-        shield=card["shield"],
-    )
-
-
-def measured(scene: str, paid: dict[str, Any], *, episodes: int) -> tables.Table:
-    """The table of a scene's shipped policy, written among the others.
-
-    `paid` is what training cost.
-    """
-    table = evaluate(ROW, scene, PRETRAINED, torso="free", episodes=episodes, seed=None)
-    table["policy"]["cost"] = paid
-    tables.write(table, tables.name_of(ROW, scene))
-    return table
+def again(stem: str, *, episodes: int) -> None:
+    """Measure a shipped policy, and say so on its card, SHIPPED/STEM.json."""
+    file = SHIPPED / f"{stem}{SUFFIX}"
+    card = json.loads((SHIPPED / f"{stem}.json").read_text(encoding="utf-8"))
+    scene, kind = card["scene"], card.get("kind", "")
+    row, name = (f"{ROW}-{kind}", f"{PRETRAINED}:{kind}") if kind else (ROW, PRETRAINED)
+    table = evaluate(row, scene, name, torso="free", episodes=episodes, seed=None)
+    table["policy"]["cost"] = card["training"]["cost"]
+    tables.write(table, tables.name_of(row, scene))
+    held_out = {each: _short(table[each]) for each in (*RADII, HOME) if each in table}
+    card = {
+        "scene": scene,
+        "kind": kind,
+        "file": file.name,
+        "sha256": table["policy"]["sha256"],
+        "bytes": file.stat().st_size,
+        "shield": card["shield"],
+        "held_out": {"problems": table["problems"], **held_out},
+        "training": card["training"],
+    }
+    tables.write(card, stem, folder=SHIPPED)
 
 
 def training(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
@@ -95,6 +100,7 @@ def training(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
         )  # a run that went on says what it began with
     return {
         "command": command(run),
+        "preset": run.get("preset", "default"),
         "seed": run["seed"],
         "mode": run["mode"],
         "log_episodes": run["log_episodes"],
@@ -105,23 +111,6 @@ def training(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
         "settings": run["settings"],
         "env": {key: run["env"][key] for key in ("config", "reward")},
     }
-
-
-def _write_card(scene: str, how: dict[str, Any], table: tables.Table, *, shield: bool) -> None:
-    file = SHIPPED / f"{scene}{SUFFIX}"
-    card = {
-        "scene": scene,
-        "file": file.name,
-        "sha256": table["policy"]["sha256"],
-        "bytes": file.stat().st_size,
-        "shield": shield,
-        "held_out": {
-            "problems": table["problems"],
-            **{name: _short(table[name]) for name in RADII},
-        },
-        "training": how,
-    }
-    tables.write(card, scene, folder=SHIPPED)
 
 
 def _short(found: dict[str, Any]) -> dict[str, Any]:
@@ -143,10 +132,12 @@ def main(arguments: list[str] | None = None) -> None:
         "--shield", action="store_true", help="they act behind the shield (`record --shield`)"
     )
     parser.add_argument("--last", action="store_true", help="their last policies, not their best")
+    parser.add_argument("--kind", choices=KINDS, default="", help="ask for them as pretrained:KIND")
     given = parser.parse_args(arguments)
+    how = {"shield": given.shield, "last": given.last, "kind": given.kind}
     try:
         for folder in given.run:
-            ship(folder, shield=given.shield, last=given.last, episodes=given.episodes)
+            ship(folder, **how, episodes=given.episodes)
         for path in sorted(SHIPPED.glob(f"*{SUFFIX}")) if not given.run else []:
             again(path.stem, episodes=given.episodes)
     except CoordlogError as error:

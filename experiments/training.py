@@ -9,7 +9,7 @@ from typing import Any
 from coordlog.config import plain
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
-from coordlog.train.settings import PRESETS
+from coordlog.train.settings import PRESETS, surroundings
 
 
 def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
 
 
 def command(run: dict[str, Any]) -> str:
-    """The command that trains such a run, with today's default preset as its base.
+    """The command that trains such a run, with today's preset of that name as its base.
 
     `run` is what run.json holds.
     """
@@ -37,7 +37,12 @@ def command(run: dict[str, Any]) -> str:
     words += [f"--from logs/{scene}"] if mode != "live" else [f"--scene {scene}"]
     words += ["--live"] if mode == "both" else []
     words += [f"--where {json.dumps(run['where'])}"] if run["where"] else []
-    words += [f"--updates {loop['updates']}"]
+    preset = run.get("preset", "default")
+    words += [f"--preset {preset}"] if preset != ("live" if mode == "live" else "default") else []
+    if run.get("start", "stand") != "stand":
+        words += [f"--start {run['start']}"]
+    if mode != "live" or loop["updates"]:
+        words += [f"--updates {loop['updates']}"]
     words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
     named = {("loop", name) for name in ("updates", "steps", "seed")}
     replay, settings = run["settings"]["replay"], dict(run["settings"])
@@ -47,20 +52,26 @@ def command(run: dict[str, Any]) -> str:
             "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
         }
     for section, values in settings.items():
-        usual = PRESETS["default"].asdict()[section]
+        usual = PRESETS[preset].asdict()[section]
         words += [
             f"--set {section}.{k}={json.dumps(v)}"
             for k, v in values.items()
             if (section, k) not in named and v != usual.get(k)
         ]
-    for section, values in around(run["env"]).items():
+    for section, values in around(run["env"], preset=preset if mode == "live" else "").items():
         words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
     return " ".join([*words, f"--seed {run['seed']}"])
 
 
-def around(env: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """What of an environment's constants, of a `coordlog.env` record, is not as usual."""
-    usual = {"env": plain(EnvConfig()), "reward": plain(RewardConfig())}
+def around(env: dict[str, Any], *, preset: str = "") -> dict[str, dict[str, Any]]:
+    """What of an environment's constants, of a `coordlog.env` record, is not as usual, or not as a
+    preset asks for.
+    """
+    asked = surroundings(preset)
+    usual = {
+        "env": plain(EnvConfig()) | asked["config"],
+        "reward": plain(RewardConfig()) | asked["reward"],
+    }
     said = {"env": env.get("config", {}), "reward": env.get("reward", {})}
     return {
         name: {key: value for key, value in said[name].items() if value != usual[name].get(key)}

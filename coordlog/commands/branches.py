@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coordlog.commands.logs import load_logs
+from coordlog.contracts import Branch
 from coordlog.errors import ConfigError
 from coordlog.record.recorder import Recorder
-from coordlog.sim.sampler import Branch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from coordlog.contracts import Problem
     from coordlog.episode import Array, Json
     from coordlog.record.cache import Logs
     from coordlog.sim.env import BatchEnv
-    from coordlog.sim.sampler import Problem
 
 EARLIEST, LATEST = 30, 6
 """An episode in which something went wrong is left at least LATEST and at most EARLIEST steps

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from coordlog.errors import ConfigError, SpecError, unknown
 
 if TYPE_CHECKING:
+    from coordlog.contracts import Policy
     from coordlog.episode import Json
     from coordlog.sim.env import BatchEnv
-    from coordlog.sim.rollout import Policy
 
 SUFFIX = ".safetensors"
 FILES = ("best", "policy")
@@ -19,24 +19,48 @@ FILES = ("best", "policy")
 DEFAULT_SCENE = "table"
 PRETRAINED = "pretrained"
 SHIPPED = Path(__file__).parents[1] / "policies"
-"""Policies that come with the package, SCENE.safetensors, and beside each its card, SCENE.json."""
+"""Policies that come with the package, SCENE.safetensors, and beside each its card, SCENE.json;
+SCENE-KIND where several do.
+"""
+KINDS = ("live",)
+"""What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps."""
+ENDS = tuple(f"-{kind}" for kind in KINDS)
 SHIELD = "velocity damper"
 """What the `coordlog.policy` record calls the shield."""
 
 
-def pretrained(scene: str) -> Path:
-    """The policy file that ships for a scene.
+def pretrained(scene: str, kind: str = "") -> Path:
+    """The policy file that ships for a scene, or the one of a kind.
 
     Raises:
         ConfigError: if none does.
     """
-    file = SHIPPED / f"{scene}{SUFFIX}"
+    end = f"-{kind}" if kind else ""
+    file = SHIPPED / f"{scene}{end}{SUFFIX}"
     if not file.is_file():
-        names = ", ".join(sorted(path.stem for path in SHIPPED.glob(f"*{SUFFIX}")))
+        stems = sorted(path.stem for path in SHIPPED.glob(f"*{end}{SUFFIX}"))
+        others = [stem.removesuffix(end) for stem in stems if kind or not stem.endswith(ENDS)]
+        names = ", ".join(others) or "none"
         raise ConfigError(
-            f"no policy ships for scene '{scene}'; one does for: {names}; others come from `coordlog train`"
+            f"no {kind + ' ' if kind else ''}policy ships for scene '{scene}'; one does for: {names}; "
+            "others come from `coordlog train`"
         )
     return file
+
+
+def shipped_kind(name: str) -> str | None:
+    """The kind that a name asks for among the policies that ship: "" for "pretrained" alone, None
+    for the name of another policy.
+
+    Raises:
+        ConfigError: for an unknown kind.
+    """
+    first, colon, kind = name.partition(":")
+    if first != PRETRAINED:
+        return None
+    if colon and kind not in KINDS:
+        raise unknown("policy", name, [PRETRAINED, *(f"{PRETRAINED}:{each}" for each in KINDS)])
+    return kind
 
 
 def policy_file(name: str, scene: str) -> Path | None:
@@ -52,8 +76,9 @@ def policy_file(name: str, scene: str) -> Path | None:
 
     if name in SCRIPTED:
         return None
-    if name == PRETRAINED:
-        return pretrained(scene)
+    kind = shipped_kind(name)
+    if kind is not None:
+        return pretrained(scene, kind)
     path = Path(name)
     candidates = [
         path,
@@ -86,9 +111,11 @@ def wants_shield(name: str, scene: str) -> bool:
     """Whether a policy is meant to act behind the shield: one that ships says so on its card, no
     other does.
     """
-    return name == PRETRAINED and bool(
-        json.loads(pretrained(scene).with_suffix(".json").read_text(encoding="utf-8"))["shield"]
-    )
+    kind = shipped_kind(name)
+    if kind is None:
+        return False
+    card = pretrained(scene, kind).with_suffix(".json")
+    return bool(json.loads(card.read_text(encoding="utf-8"))["shield"])
 
 
 def make_policy(
@@ -97,7 +124,7 @@ def make_policy(
     """The policy, and its `coordlog.policy` record without noise.
 
     Args:
-        name: Of a scripted policy, a run folder, a file, or "pretrained".
+        name: Of a scripted policy, a run folder, a file, "pretrained" or "pretrained:live".
         env: Where it is to act.
         shield: Whether it acts behind a velocity damper (`coordlog.policies.damper`); None: as its
             card says.
@@ -129,5 +156,5 @@ def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
             raise SpecError(
                 f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{trained.about['scene']}'"
             )
-    said = f"{PRETRAINED}/{env.scene.name}" if name == PRETRAINED else str(file)
+    said = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
     return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": file_digest(file)}

@@ -122,7 +122,7 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
         raise FormatError(
             f"{loaded.path}: {reason}: images are rendered only of states that are proven; use that MuJoCo, or leave --camera away"
         )
-    trace = replay([Log(episode.header, model, start, episode.action)])[0]
+    trace = replay([Log.of(episode, model, start)])[0]
     for name in ("qpos", "qvel"):
         logged, again = getattr(episode, name), trace.columns[name]
         different = np.flatnonzero((logged.view(np.uint64) != again.view(np.uint64)).any(axis=1))

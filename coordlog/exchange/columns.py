@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from coordlog.episode import Array, Episode, Header
-from coordlog.spec import FINAL, STEP, Field
+from coordlog.spec import Field
 
 
 class Column(NamedTuple):
@@ -32,7 +32,6 @@ class Column(NamedTuple):
 
 def columns(episode: Episode) -> dict[str, Column]:
     """All columns of an episode by name, in the order of the format; without the step's number."""
-    before = {item.name for item in FINAL.fields}
     found = {}
     for item in fields_of(episode):
         values = getattr(episode, item.name)
@@ -40,14 +39,14 @@ def columns(episode: Episode) -> dict[str, Column]:
         if values.ndim > 1 and not values.shape[1]:
             continue
         found[item.name] = Column(
-            item.name, values, item.name in before, labels, item.unit, item.doc
+            item.name, values, item.when == "before", labels, item.unit, item.doc
         )
     return found
 
 
 def fields_of(episode: Episode) -> tuple[Field, ...]:
     """The fields that an episode has, but for the step's number."""
-    return tuple(item for item in STEP.fields[1:] if hasattr(episode, item.name))
+    return tuple(item for item in episode.header.fields if hasattr(episode, item.name))
 
 
 def labels_of(item: Field, header: Header) -> tuple[str, ...]:

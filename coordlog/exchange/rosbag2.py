@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -33,7 +34,7 @@ from coordlog.episode import Json
 from coordlog.episode import Path as JointPath
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.source import Loaded
-from coordlog.record.chunk import definitions, expand, split
+from coordlog.record.chunk import definitions, expand
 from coordlog.record.opening import summary_start
 from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, pack, unpack_definitions, walk
 
@@ -42,8 +43,9 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 VERSION: Literal[9] = 9
 PROFILE = "ros2"
-_PREFIX = 31
-"""Bytes of an MCAP message record before its payload."""
+_MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
+_PREFIX = 22
+"""Bytes of an MCAP message before its payload."""
 _NS = 1_000_000_000
 
 
@@ -241,10 +243,9 @@ def _messages(data: bytes) -> tuple[dict[str, tuple[str, str]], Iterator[Message
             schema = kinds[channel.schema_id]
             topics[channel.id] = channel.topic
             schemas[channel.topic] = (schema.name, schema.data.decode())
-        for number, records in split(chunk, len(head)).items():
-            for record in records:
-                raw = bytes(record)
-                time = int.from_bytes(raw[15:23], "little")
-                found.append((time, len(found), topics[number], raw[_PREFIX:]))
+        for record in walk(chunk, len(head)):
+            number, _, time = _MESSAGE.unpack_from(chunk, record.start)
+            payload = bytes(chunk[record.start + _PREFIX : record.end])
+            found.append((time, len(found), topics[number], payload))
     found.sort()
     return schemas, (Message(topic, time, raw) for time, _, topic, raw in found)

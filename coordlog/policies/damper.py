@@ -7,20 +7,19 @@ knows the robot's kinematics, as the expert does, and takes the base to stand st
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.kinematics.ik import Reach
 from coordlog.policies.avoidance import farthest, gap_at, turned
-from coordlog.sim.task import Task
+from coordlog.sim.task import BoundTask
 
 
 class Shielded:
     """Another policy, shielded from spheres."""
 
-    def __init__(self, policy: Any, task: Task, reach: Reach) -> None:
+    def __init__(self, policy: Policy, task: BoundTask, reach: Reach) -> None:
         """Take the kinematics of a scene with spheres."""
         self._policy, self._task, self._reach = policy, task, reach
         self._step = task.speeds * task.config.control_period  # (n_u,) rad per step at action 1

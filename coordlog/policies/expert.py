@@ -4,7 +4,7 @@ goals by inverse kinematics.
 It sees what any policy sees, the state, and acts in [-1, 1]. At the start of an episode it tries a
 few ways through the joint space and takes the first that touches nothing; under way it follows
 straight joint lines with feedback, and near the end corrects the palms for the sway of a robot that
-stands on its own feet.
+stands on its own feet. Goals that move are followed from where it arrives.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.kinematics.ik import Reach
 from coordlog.policies.avoidance import farthest, gap_at, turned
-from coordlog.sim.task import Task
+from coordlog.sim.task import BoundTask
 
 GAIN_STEPS = 4.0
 """An error is meant to be gone after this many steps at the speed it asks for.
@@ -74,7 +74,7 @@ class Plan:
 class Expert:
     """Plans at the start of an episode, then follows."""
 
-    def __init__(self, task: Task, reach: Reach, n: int) -> None:
+    def __init__(self, task: BoundTask, reach: Reach, n: int) -> None:
         """Prepare the known ways through the joint space.
 
         Args:
@@ -94,26 +94,30 @@ class Expert:
         """Plan a way for each slot."""
         view = self._task.view
         angles, goals = view.physical(state, "angles"), view.physical(state, "goals")
+        palms = view.physical(state, "palms")
         spheres = (
             view.physical(state, "spheres") if self._task.n_spheres else np.zeros((len(ids), 0))
         )
-        for slot, start, goal, obstacle, rng in zip(ids, angles, goals, spheres, rngs, strict=True):
+        every = zip(ids, angles, palms, goals, spheres, rngs, strict=True)
+        for slot, start, hands, goal, obstacle, rng in every:
             targets, around = np.asarray(goal.reshape(-1, 3)), obstacle.reshape(-1, 4)
             self._reach.place(around)
             held = None if self._moves.all() else np.where(self._moves, np.nan, start)
-            self._plans[slot] = Plan(
-                self._way(start, targets, rng, held), targets, np.zeros_like(targets), held, around
-            )
+            there = farthest(hands.reshape(-1, 3), targets) < THERE
+            way = [start] if there else self._way(start, targets, rng, held)
+            self._plans[slot] = Plan(way, targets, np.zeros_like(targets), held, around)
 
     def act(self, ids: Array, state: Array) -> Array:
         """Towards each slot's next way point, all joints arriving together, (n, n_u)."""
         view = self._task.view
         angles, palms = view.physical(state, "angles"), view.physical(state, "palms")
+        goals = view.physical(state, "goals")
         action = np.zeros((len(ids), len(self._step)), dtype=np.float32)
         for row, slot in enumerate(ids):
             plan = self._plans[slot]
             assert plan is not None, "begin() comes before act()"
             self._reach.place(plan.spheres)
+            plan.goals = goals[row].reshape(-1, 3)  # where they are now: goals may move
             hands = palms[row].reshape(-1, 3)
             action[row] = self._towards(
                 self._follow(plan, angles[row], hands), angles[row], farthest(hands, plan.goals)
@@ -241,7 +245,7 @@ class Expert:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
 
 
-def _ways(task: Task) -> list[list[Array]]:
+def _ways(task: BoundTask) -> list[list[Array]]:
     """Known ways from arms hanging to hands in front, as lists of via postures.
 
     None for a robot with other joints.

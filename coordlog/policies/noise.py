@@ -5,10 +5,9 @@ The scripted expert has a module of its own.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from coordlog.contracts import Policy
 from coordlog.episode import Array
 
 CORRELATION = 0.9
@@ -81,7 +80,7 @@ class Noisy:
     """
 
     def __init__(
-        self, policy: Any, n: int, n_u: int, *, sigma: float, correlation: float = 0.0
+        self, policy: Policy, n: int, n_u: int, *, sigma: float, correlation: float = 0.0
     ) -> None:
         self._policy = policy
         self._noise = Noise(n, n_u, sigma=sigma, correlation=correlation)

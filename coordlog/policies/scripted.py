@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from coordlog.contracts import Policy
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, unknown
 from coordlog.policies.damper import Shielded
 from coordlog.policies.expert import Expert
 from coordlog.policies.noise import Noisy, Random, Still
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.rollout import Policy
 
 SCRIPTED = ("expert", "random", "still")
 

@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Outcome, Problem
 from coordlog.episode import CONTACT, Array, Header, Json, Result
 from coordlog.errors import CoordlogError, StorageError
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.sampler import Problem
-from coordlog.sim.simulation import Outcome
 from coordlog.spec import SCHEMA_VERSION, STEP, after, before, names
 
 BEFORE, LED_TO = names(before(STEP.fields[1:])), names(after(STEP.fields))

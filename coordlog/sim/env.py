@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from typing import Any
 
 import mujoco
 import numpy as np
 import zstandard
 
-from coordlog.config import plain
+from coordlog.config import build, plain
+from coordlog.contracts import Branch, Outcome, Problem
 from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
 from coordlog.mjcf import compile_model, compose, self_contained
 from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.sampler import Branch, Draw, Problem
-from coordlog.sim.simulation import Outcome, Simulation
-from coordlog.sim.task import Task
-from coordlog.spec import Layout
+from coordlog.sim.sampler import Draw
+from coordlog.sim.simulation import Simulation
+from coordlog.sim.task import BoundTask
+from coordlog.spec import Field, Layout
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.registry import make_task, task_class
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
@@ -47,6 +50,7 @@ class BatchEnv:
         n: int = 1,
         threads: int = 0,
         start: str = "stand",
+        task: Mapping[str, Any] | None = None,
     ) -> None:
         """Compile the scene and let the robot come to rest in its start pose.
 
@@ -57,13 +61,14 @@ class BatchEnv:
             n: Number of simulations.
             threads: Threads to step on; 0 for all cores.
             start: Name of the robot's start pose.
+            task: Constants of the scene's task that are its own, by name.
 
         Raises:
             ConfigError: for a pose, period or name that does not fit the robot's model.
             FormatError: if the model needs other files.
             SimulationError: if it does not compile.
         """
-        config, reward = config or EnvConfig(), reward or RewardConfig()
+        config, reward = config or default_config(scene), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
@@ -72,12 +77,13 @@ class BatchEnv:
             self.text.encode()
         )  # a log carries its model as text: what could not be replayed is not recorded
         model = compile_model(self.text)
-        self.task = Task(scene.robot, model, config, reward)
+        rules = make_task(scene.task, config, reward, task)
+        self.task = BoundTask(rules, scene.robot, model, config, reward)
         self.physics = Physics(model, n=n, threads=threads)
         self.simulation = Simulation(self.task, self.physics, n=n)
         self._rest = settled(scene.robot, model, start)
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, model, config, standing=standing, start=start)
+        self.draw = Draw(scene, rules, model, config, standing=standing, start=start)
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -92,6 +98,15 @@ class BatchEnv:
     def state(self) -> Array:
         """Present policy state of every simulation, (N, n_x) float32."""
         return self.simulation.state
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What the task logs of its own."""
+        return self.task.fields
+
+    def present(self, ids: Array) -> dict[str, Array]:
+        """Every field that holds before an action, the core's and the task's, (len(ids), …)."""
+        return self.simulation.present(ids)
 
     def problem(self, *, seed: int, split: str, index: int) -> Problem:
         """The problem of one episode (sim/sampler.py)."""
@@ -116,16 +131,16 @@ class BatchEnv:
         radii = np.array([problem.spheres[:, 3] for problem in problems]) + task.config.inflate
         if task.n_spheres:
             physics.resize(ids, task.sphere_geoms, radii)
-        self.simulation.begin(ids, radii)
+        self.simulation.begin(ids, radii, [problem.track for problem in problems])
         branched = [
-            (int(sim), problem.branch)
+            (int(sim), problem, problem.branch)
             for sim, problem in zip(ids, problems, strict=True)
             if problem.branch is not None
         ]
-        for sim, branch in branched:
-            self._follow(sim, branch)
+        for sim, problem, branch in branched:
+            self._follow(sim, problem, branch)
 
-    def _follow(self, sim: int, branch: Branch) -> None:
+    def _follow(self, sim: int, problem: Problem, branch: Branch) -> None:
         """Do what led to a branch, and begin there."""
         at = np.array([sim])
         for action in branch.actions:
@@ -137,7 +152,8 @@ class BatchEnv:
                 f"recorded (the state differs by {away:.2g}): expected the same environment and the same MuJoCo"
             )
         self.physics.rows[sim, 0] = 0.0  # time
-        self.simulation.begin(at, self.simulation.radii[at])
+        track = None if problem.track is None else problem.track[len(branch.actions) :]
+        self.simulation.begin(at, self.simulation.radii[at], [track])
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Advance simulations `ids` by one control period.
@@ -190,6 +206,7 @@ class BatchEnv:
             "robot": robot.to_json(),
             "config": plain(self.task.config),
             "reward": plain(self.task.reward),
+            "task": self.task.rules.to_json(),
             "joints": hinges(model),
             "actuators": [model.actuator(i).name for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],
@@ -198,6 +215,11 @@ class BatchEnv:
             "layout": asdict(self.layout),
             **self.task.view.to_json(),
         }
+
+
+def default_config(scene: Scene) -> EnvConfig:
+    """The environment's constants in a scene, where nobody says otherwise: its task's."""
+    return build(EnvConfig, task_class(scene.task)[0].defaults)
 
 
 def binary(model: mujoco.MjModel) -> bytes:

@@ -15,14 +15,16 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, SpecError, unknown
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.render import Painter, view_of
 from coordlog.sim.sampler import SPLITS
-from coordlog.sim.simulation import Outcome
+from coordlog.spec import after
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from coordlog.tasks.reach import reward as rules
+from coordlog.tasks.reach.reward import distances
+from coordlog.tasks.registry import follow
 from coordlog.tasks.scene import Scene, find
 
 OPTIONS = ("index", "split")
@@ -49,8 +51,17 @@ class GymEnv(gymnasium.Env[Observation, Array]):
     reward: the mean of the arms' rewards, which are in `info["rewards"]`.
     truncated: after `config.max_steps` steps; there is no need of a TimeLimit wrapper.
 
+    Infos have the same keys after `reset` and after `step`: the reward of each arm, the task's own
+    fields, is_success, step, diverged, and which problem it is (seed, index, split).
+
     A reset with a seed starts that seed's first problem, every further reset its next; `options`
     may name another `index` or `split`.
+
+    Example:
+        >>> env = gymnasium.make("coordlog/table-v0")           # doctest: +SKIP
+        >>> observation, info = env.reset(seed=0)               # doctest: +SKIP
+        >>> info["distance"].shape                              # doctest: +SKIP
+        (2,)
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - as gymnasium.Env declares it
@@ -79,11 +90,12 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise unknown("render mode", str(render_mode), self.metadata["render_modes"])
         self.render_mode, self._split = render_mode, _known_split(split)
+        self._made = (scene, config, reward, split, render_mode)
         self._env = BatchEnv(
             find(scene) if isinstance(scene, str) else scene, config, reward, threads=1
         )
         self._painter: Painter | None = None
-        self._seed, self._index = -1, -1
+        self._seed, self._index, self._drawn = -1, -1, split
         self._observation: Observation | None = None
         places = self._env.task.view.places
         self._seen = np.concatenate(
@@ -129,8 +141,9 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         split = _known_split(options.get("split", self._split))
         problem = self._env.problem(seed=self._seed, split=split, index=self._index)
         self._env.reset(ONE, [problem])
+        self._drawn = split
         self._observation = self._observe()
-        return self._observation, {"seed": self._seed, "index": self._index, "split": split}
+        return self._observation, self._info()
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by one control period.
@@ -214,6 +227,10 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             self._painter.close()
             self._painter = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle how it was made and which problem comes next: a copy needs a reset first."""
+        return _remade, (self._made, self._seed, self._index)
+
     def _observe(self) -> Observation:
         task, physics = self._env.task, self._env.physics
         return {
@@ -222,18 +239,34 @@ class GymEnv(gymnasium.Env[Observation, Array]):
             "desired_goal": task.goals(physics.mocap_pos[:1]).ravel(),
         }
 
-    def _info(self, outcome: Outcome) -> Info:
+    def _info(self, outcome: Outcome | None = None) -> Info:
+        """What `step` says besides; after a reset the same keys, with nothing earned or touched."""
+        rules, layout = self._env.task.rules, self._env.layout
+        own = {item.name: item for item in after(rules.fields)}
+        if outcome is None:
+            columns = {
+                name: np.zeros(layout.shape(item, 1), item.type) for name, item in own.items()
+            }
+            columns["distance"] = self._distance()
+            rewards, success, diverged = np.zeros(layout.k), False, False
+        else:
+            columns = {name: outcome.columns[name] for name in own}
+            rewards, success = outcome.reward[0], bool(outcome.success[0])
+            diverged = bool(outcome.diverged[0])
         return {
-            "rewards": outcome.reward[0],
-            "distance": outcome.distance[0],
-            "boundary": outcome.boundary[0],
-            "goal": outcome.goal[0],
-            "collision": bool(outcome.collision[0]),
-            "instability": bool(outcome.instability[0]),
-            "is_success": bool(outcome.goal[0].all()),
+            "rewards": rewards,
+            **{name: _plain(column[0]) for name, column in columns.items()},
+            "is_success": success,
             "step": int(self._env.simulation.steps[0]),
-            "diverged": bool(outcome.diverged[0]),
+            "diverged": diverged,
+            "seed": self._seed,
+            "index": self._index,
+            "split": self._drawn,
         }
+
+    def _distance(self) -> Array:
+        task, physics = self._env.task, self._env.physics
+        return distances(task.palms(physics.sensors[:1]), task.goals(physics.mocap_pos[:1]))
 
     def _judge(
         self, achieved: Array, desired: Array, info: Info | Sequence[Info]
@@ -247,20 +280,28 @@ class GymEnv(gymnasium.Env[Observation, Array]):
                     "info: expected the one that step() returned, got one without 'collision' (HerReplayBuffer: copy_info_dict=True)"
                 )
         points = (*achieved.shape[:-1], -1, 3)
-        distance = rules.distances(achieved.reshape(points), desired.reshape(points))
+        distance = distances(achieved.reshape(points), desired.reshape(points))
         collision, instability, step = (
             np.array([item[name] for item in infos]).reshape(achieved.shape[:-1])
             for name in ("collision", "instability", "step")
         )
-        config = self._env.task.config
-        flags = rules.Flags(*rules.proximity(distance, config), collision, instability)
-        terminated = rules.terminations(flags)
-        truncated = ~terminated & (step >= config.max_steps)
-        return (
-            rules.rewards(distance, flags, self._env.task.reward).mean(axis=-1)[()],
-            terminated[()],
-            truncated[()],
-        )
+        measured = {"distance": distance, "collision": collision, "instability": instability}
+        found = follow(self._env.task.rules, measured)
+        terminated = found["terminated"]
+        truncated = ~terminated & (step >= self._env.task.config.max_steps)
+        return found["reward"].mean(axis=-1)[()], terminated[()], truncated[()]
+
+
+def _remade(made: tuple[Any, Any, Any, str, str | None], seed: int, index: int) -> GymEnv:
+    scene, config, reward, split, render_mode = made
+    env = GymEnv(scene, config=config, reward=reward, split=split, render_mode=render_mode)
+    env._seed, env._index = seed, index
+    return env
+
+
+def _plain(value: Any) -> Any:
+    """A scalar as Python's own, an array as it is."""
+    return value.item() if np.ndim(value) == 0 else value
 
 
 def _known_split(split: str) -> str:

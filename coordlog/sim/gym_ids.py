@@ -13,7 +13,9 @@ def gym_id(scene: str) -> str:
 
 
 def register() -> None:
-    """Make `gymnasium.make("coordlog/table-v0")` work; calling twice is harmless."""
+    """Register every scene; Gymnasium calls this by itself (the entry point in pyproject.toml), and
+    calling it again is harmless.
+    """
     for scene in SCENES:
         if gym_id(scene) not in gymnasium.registry:
             gymnasium.register(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -67,6 +66,9 @@ class Physics:
             "sensordata"
         )  # (n, n_sensordata), of the present state
         self.ctrl: Array = self._batch.bind("ctrl")  # (n, n_servos)
+        self.torque: Array = self._batch.bind(
+            "actuator_force"
+        )  # (n, n_c) N·m, during the last physics step
         self._time = self._batch.bind("time")
         self._counts = tuple(self._batch.bind(name) for name in COUNTERS)
         self._sole_rows, self._other_rows = CONTACT_ROWS[mujoco.mjtCone(model.opt.cone)]
@@ -86,11 +88,6 @@ class Physics:
         next call.
         """
         return np.asarray(self._batch.state)
-
-    @cached_property
-    def torque(self) -> Array:
-        """Servo torques during the last physics step, (n, n_servos) [N·m]."""
-        return np.asarray(self._batch.bind("actuator_force"))
 
     def resize(self, ids: Array, geoms: Sequence[int], radii: Array) -> None:
         """Give sphere geoms new radii in some simulations, (len(ids), len(geoms)) [m].

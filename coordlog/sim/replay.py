@@ -1,42 +1,34 @@
-"""A log simulated again, from nothing but what it carries: its model, its first state and its
-actions.
+"""Logs as an environment: each simulation starts on its own log's model, in its first state.
 
-On the MuJoCo version and architecture that recorded it every number must come back bit for bit;
-elsewhere only nearly (`exact_here` says which). Logs are replayed many at a time, each simulation
-on its own log's model.
+With the logged actions that is a replay. On the MuJoCo version and architecture that recorded a log
+every number must come back bit for bit; elsewhere only nearly (`exact_here` says which).
 """
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from coordlog.config import build
-from coordlog.episode import CONTACT, Array, Header
+from coordlog.contracts import Outcome, Problem
+from coordlog.episode import CONTACT, Array, Episode, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
 from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.simulation import Outcome, Simulation
-from coordlog.sim.task import Task
-from coordlog.spec import FINAL, STEP
+from coordlog.sim.rollout import rollout
+from coordlog.sim.simulation import Simulation
+from coordlog.sim.task import BoundTask
+from coordlog.spec import CORE, before, names
+from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 
-BEFORE = tuple(item.name for item in FINAL.fields[1:])
-LED_TO = (
-    "reward",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-    "truncated",
-)
+GOALS = "goals"
+"""A task's field of this name, "3*k" wide and before the action, says where goals that move are."""
 
 
 class Log(NamedTuple):
@@ -48,6 +40,15 @@ class Log(NamedTuple):
     """Full mjSTATE_INTEGRATION vector, (n_state,)."""
     action: Array
     """(T, n_u) float32."""
+    given: Mapping[str, Array] = {}
+    """The task's logged columns that hold before an action, (T + 1, …)."""
+
+    @classmethod
+    def of(cls, episode: Episode, model: mujoco.MjModel, start: Array) -> Log:
+        """The log of an episode: its header, actions, and what its task was given."""
+        fields = before(episode.header.fields)
+        given = {item.name: getattr(episode, item.name) for item in fields if item.owner != CORE}
+        return cls(episode.header, model, start, episode.action, given)
 
 
 class Trace(NamedTuple):
@@ -88,84 +89,213 @@ def replay(logs: Sequence[Log], *, threads: int = 1) -> list[Trace]:
     return [traces[i] for i in range(len(logs))]
 
 
-def task_of(log: Log) -> Task:
-    """The task a log was recorded in, rebuilt from its header and model; the last one is kept."""
+def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
+    """Replay logs of one environment, one simulation each."""
+    env = Traced(LogEnv(logs, threads=threads))
+    lengths = np.array([len(log.action) for log in logs])
+    ids = np.arange(len(logs))
+    env.reset(ids, [env.problem(seed=0, split="", index=int(i)) for i in ids])
+
+    def over(ids: Array, outcome: Outcome) -> Array:
+        return np.asarray(env.steps[ids] >= lengths[ids])
+
+    actor = Logged([log.action for log in logs])
+    for _ in rollout(env, actor, (), seed=0, running=ids[lengths > 0], over=over):
+        pass
+    wanted = set(names(logs[0].header.fields)) - {"action"}
+    return [env.trace(int(i), wanted) for i in ids]
+
+
+def task_of(log: Log) -> BoundTask:
+    """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
+
+    Raises:
+        ConfigError: if the task is not installed, or the model lacks what the header names.
+    """
     global _last
     if _last is None or _last[0] is not log.header or _last[1] is not log.model:
         env = log.header.env
         config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-        task = Task(Robot.from_json(env["robot"]), log.model, config, reward)
-        _last = log.header, log.model, task
+        robot, rules = Robot.from_json(env["robot"]), registry.task_of(env)
+        _last = log.header, log.model, BoundTask(rules, robot, log.model, config, reward)
     return _last[2]
 
 
-_last: tuple[Header, mujoco.MjModel, Task] | None = None
+_last: tuple[Header, mujoco.MjModel, BoundTask] | None = None
 
 
-def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
-    """Replay logs of one environment, one simulation each."""
-    task, n = task_of(logs[0]), len(logs)
-    physics = Physics(logs[0].model, n=n, threads=threads, models=[log.model for log in logs])
-    simulation = Simulation(task, physics, n=n)
-    size = mujoco.mj_stateSize(logs[0].model, STATE)
-    for i, log in enumerate(logs):
-        if log.start.shape != (size,):
-            raise FormatError(
-                f"initial state: expected {size} numbers for this model, got {log.start.size}"
-            )
-        physics.rows[i] = log.start
-    radii = np.array([log.model.geom_size[task.sphere_geoms, 0] for log in logs])
-    simulation.begin(np.arange(n), radii)
-    lengths = np.array([len(log.action) for log in logs])
-    columns = _empty(logs, lengths)
-    contacts: list[list[Array]] = [[] for _ in logs]
-    for step in range(int(lengths.max(initial=0)) + 1):
-        _observe(columns, simulation, np.flatnonzero(lengths >= step), step)
-        running = np.flatnonzero(lengths > step)
-        if len(running):
-            outcome = simulation.step(
-                np.stack([logs[int(i)].action[step] for i in running]), running
-            )
-            _store(columns, contacts, outcome, running, step)
-    return [
-        Trace(columns[i], np.concatenate(rows) if rows else np.zeros(0, dtype=CONTACT))
-        for i, rows in enumerate(contacts)
-    ]
+class LogEnv:
+    """Logs of one environment, simulation i on the model of log i; episode i starts as log i did.
+
+    Example:
+        >>> env = LogEnv([log])                                 # doctest: +SKIP
+        >>> env.reset(ids, [env.problem(seed=0, split="", index=0)])  # doctest: +SKIP
+    """
+
+    def __init__(self, logs: Sequence[Log], *, threads: int = 1) -> None:
+        """Build the simulations.
+
+        Args:
+            logs: Of one environment; their models have one layout.
+            threads: Threads to simulate on.
+
+        Raises:
+            ConfigError: if the task is not installed, or a model lacks what its header names.
+        """
+        self._logs, self.task = logs, task_of(logs[0])
+        models = [log.model for log in logs]
+        self.physics = Physics(models[0], n=len(logs), threads=threads, models=models)
+        self.simulation = Simulation(self.task, self.physics, n=len(logs))
+
+    @property
+    def n(self) -> int:
+        """Number of simulations."""
+        return len(self._logs)
+
+    @property
+    def state(self) -> Array:
+        """Present policy state of every simulation, (N, n_x) float32."""
+        return self.simulation.state
+
+    def present(self, ids: Array) -> dict[str, Array]:
+        """Every field that holds before an action, (len(ids), …)."""
+        return self.simulation.present(ids)
+
+    def problem(self, *, seed: int, split: str, index: int) -> Problem:
+        """What log `index` started from; its first state says everything else."""
+        none = np.zeros((0, 4))
+        return Problem(seed, split, index, none[:, :3], None, none, none[:, 0])
+
+    def reset(self, ids: Array, problems: list[Problem]) -> None:
+        """Put simulation i in the first state of log i.
+
+        Raises:
+            FormatError: if a first state does not fit its model.
+        """
+        tracks: list[Array | None] = []
+        radii = np.zeros((len(ids), self.task.n_spheres))
+        for row, (sim, problem) in enumerate(zip(ids.tolist(), problems, strict=True)):
+            assert sim == problem.index, "a log runs on its own model alone"
+            log = self._logs[sim]
+            self.physics.rows[sim] = first_state(log)
+            radii[row] = log.model.geom_size[self.task.sphere_geoms, 0]
+            goals = log.given.get(GOALS)
+            tracks.append(None if goals is None else goals.reshape(len(goals), -1, 3))
+        self.simulation.begin(ids, radii, tracks)
+
+    def step(self, action: Array, ids: Array) -> Outcome:
+        """Advance simulations `ids` by one control period."""
+        return self.simulation.step(action, ids)
 
 
-def _empty(logs: Sequence[Log], lengths: Array) -> list[dict[str, Array]]:
-    fields = [item for item in STEP.fields[1:] if item.name != "action"]
-    return [
-        {
-            item.name: np.zeros(
-                log.header.layout.shape(item, int(length) + (item.name in BEFORE)), dtype=item.type
-            )
-            for item in fields
+def first_state(log: Log) -> Array:
+    """The log's first state, (n_state,).
+
+    Raises:
+        FormatError: if it does not fit the log's model.
+    """
+    size = mujoco.mj_stateSize(log.model, STATE)
+    if log.start.shape != (size,):
+        raise FormatError(
+            f"initial state: expected {size} numbers for this model, got {log.start.size}"
+        )
+    return log.start
+
+
+class Logged:
+    """A policy that does again what was done: row t of a log's actions at its step t."""
+
+    def __init__(self, actions: Sequence[Array]) -> None:
+        self._actions = actions
+        self._step = np.zeros(len(actions), dtype=np.int64)
+
+    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
+        """Start at the first action."""
+        self._step[ids] = 0
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """The logged actions, (n, n_u)."""
+        found = [self._actions[sim][self._step[sim]] for sim in ids.tolist()]
+        self._step[ids] += 1
+        return np.stack(found)
+
+
+class Traced:
+    """An environment that keeps in memory what a recorder would write to files.
+
+    Example:
+        >>> env = Traced(LogEnv([log]))                         # doctest: +SKIP
+        >>> env.trace(0).columns["qpos"].shape                  # doctest: +SKIP
+        (111, 41)
+    """
+
+    def __init__(self, env: LogEnv) -> None:
+        self._env = env
+        self.steps: Array = np.zeros(env.n, dtype=np.int64)
+        """Steps of each episode so far, (N,)."""
+        self._rows: dict[str, Array] = {}
+        self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
+
+    @property
+    def n(self) -> int:
+        """Number of simulations."""
+        return self._env.n
+
+    @property
+    def state(self) -> Array:
+        """Present policy state of every simulation, (N, n_x) float32."""
+        return self._env.state
+
+    def problem(self, *, seed: int, split: str, index: int) -> Problem:
+        """As the environment's."""
+        return self._env.problem(seed=seed, split=split, index=index)
+
+    def reset(self, ids: Array, problems: list[Problem]) -> None:
+        """Start episodes, and forget those that were there."""
+        self._env.reset(ids, problems)
+        self.steps[ids] = 0
+        for sim in ids.tolist():
+            self._contacts[sim] = []
+        self._keep(ids, self._env.present(ids))
+
+    def step(self, action: Array, ids: Array) -> Outcome:
+        """Step, and keep what was and what it led to."""
+        self._keep(ids, {"action": action})
+        outcome = self._env.step(action, ids)
+        self._keep(ids, outcome.columns)
+        for row in np.flatnonzero([len(rows) for rows in outcome.contacts]):
+            rows = outcome.contacts[row].copy()
+            rows["step"] = self.steps[ids[row]]
+            self._contacts[int(ids[row])].append(rows)
+        self.steps[ids] += 1
+        self._keep(ids, self._env.present(ids))
+        return outcome
+
+    def trace(self, sim: int, wanted: set[str] | None = None) -> Trace:
+        """The columns of one simulation's episode, and its contacts.
+
+        Args:
+            sim: Which simulation.
+            wanted: Names of the columns; None for all.
+        """
+        states, length = set(self._env.present(np.array([sim]))), int(self.steps[sim])
+        columns = {
+            name: rows[sim, : length + (name in states)].copy()
+            for name, rows in self._rows.items()
+            if wanted is None or name in wanted
         }
-        for log, length in zip(logs, lengths, strict=True)
-    ]
+        return Trace(columns, np.concatenate([np.zeros(0, CONTACT), *self._contacts[sim]]))
 
-
-def _observe(
-    columns: list[dict[str, Array]], simulation: Simulation, ids: Array, step: int
-) -> None:
-    for name in BEFORE:
-        values = getattr(simulation, name)
-        for i in ids:
-            columns[i][name][step] = values[i]
-
-
-def _store(
-    columns: list[dict[str, Array]],
-    contacts: list[list[Array]],
-    outcome: Outcome,
-    ids: Array,
-    step: int,
-) -> None:
-    for name in LED_TO:
-        for i, value in zip(ids, getattr(outcome, name), strict=True):
-            columns[i][name][step] = value
-    for row in np.flatnonzero(outcome.collision):
-        rows = outcome.contacts[row].copy()
-        rows["step"] = step
-        contacts[ids[row]].append(rows)
+    def _keep(self, ids: Array, values: Mapping[str, Array]) -> None:
+        at = self.steps[ids]
+        for name, value in values.items():
+            rows = self._rows.get(name)
+            if rows is None:
+                rows = np.zeros((self.n, 1, *value.shape[1:]), value.dtype)
+            size = int(at.max(initial=0)) + 1
+            if size > rows.shape[1]:
+                grown = np.zeros((self.n, 2 * size, *value.shape[1:]), value.dtype)
+                grown[:, : rows.shape[1]] = rows
+                rows = grown
+            rows[ids, at] = value
+            self._rows[name] = rows

@@ -1,57 +1,24 @@
 """The only loop that runs a policy in an environment.
 
-Training, evaluation, recording and smoothing all come through here.
+Recording, training and evaluation come through here, and so do replays, whose policy is the logged
+actions (sim/replay.py), and executions of paths, whose policy follows them (sim/tracking.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
-from typing import Protocol
 
 import numpy as np
 
+from coordlog.contracts import Env, Outcome, Policy
 from coordlog.episode import Array
 from coordlog.errors import SpecError
-from coordlog.sim.sampler import Problem
-from coordlog.sim.simulation import Outcome
 
 
-class Policy(Protocol):
-    """State in, action in [-1, 1] out, for several episodes at once.
-
-    Slots are numbered as the environment's simulations.
-    """
-
-    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
-        """Episodes start in slots `ids` (n,), in states (n, n_x).
-
-        Whatever is random in one comes from its own generator.
-        """
-
-    def act(self, ids: Array, state: Array) -> Array:
-        """Actions (n, n_u) float32 in [-1, 1] for the states (n, n_x) of slots `ids`."""
-
-
-class Env(Protocol):
-    """What the loop needs of an environment; a recorder is one too."""
-
-    @property
-    def n(self) -> int:
-        """Number of simulations."""
-
-    @property
-    def state(self) -> Array:
-        """Present policy state of every simulation, (N, n_x) float32."""
-
-    def problem(self, *, seed: int, split: str, index: int) -> Problem:
-        """The problem of one episode."""
-
-    def reset(self, ids: Array, problems: list[Problem]) -> None:
-        """Start an episode in each of the simulations `ids`."""
-
-    def step(self, action: Array, ids: Array) -> Outcome:
-        """Advance simulations `ids` by one control period."""
+def ended(ids: Array, outcome: Outcome) -> Array:
+    """Episodes that end with a step: by their task, cut off, or because the physics broke down."""
+    return np.asarray(outcome.terminated | outcome.truncated | outcome.diverged)
 
 
 def policy_rng(seed: int, split: str, index: int) -> np.random.Generator:
@@ -70,6 +37,7 @@ def rollout(
     seed: int,
     split: str = "train",
     running: Array | None = None,
+    over: Callable[[Array, Outcome], Array] = ended,
 ) -> Iterator[tuple[Array, Outcome]]:
     """Run episodes until all have ended, as many at a time as the environment has simulations.
 
@@ -83,6 +51,7 @@ def rollout(
         seed: Seed of problems and noise.
         split: "train" or "test".
         running: Simulations that are in the middle of an episode already and go on with it.
+        over: Which of the simulations `ids` (n,) end their episode with this outcome, (n,) bool.
 
     Yields:
         After every step of all running simulations: their ids (n,), and what the step led to.
@@ -113,6 +82,6 @@ def rollout(
             )
         outcome = env.step(np.clip(action, -1.0, 1.0), running)
         yield running, outcome
-        over = outcome.terminated | outcome.truncated | outcome.diverged
-        idle = np.sort(np.concatenate([idle[len(indices) :], running[over]]))
-        running = running[~over]
+        done = over(running, outcome)
+        idle = np.sort(np.concatenate([idle[len(indices) :], running[done]]))
+        running = running[~done]

@@ -7,16 +7,16 @@ use disjoint random streams.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
+from coordlog.contracts import Problem, Sample, Task
 from coordlog.episode import Array
 from coordlog.errors import SimulationError, unknown
 from coordlog.kinematics.ik import Reach
 from coordlog.tasks.config import EnvConfig
-from coordlog.tasks.scene import Box3, Scene
+from coordlog.tasks.goals import inside
+from coordlog.tasks.scene import Scene
 
 SPLITS = {"train": 0, "test": 1}
 ATTEMPTS = 200
@@ -24,11 +24,6 @@ CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal
 beyond the palm's own size."""
 PALM_RADIUS = 0.02
-MIDDLE = 0.35
-"""Goals that are a random posture's palms: the share of every joint's range, around its middle,
-that the posture is drawn from. Over the whole range most postures are only reached by way of
-others."""
-
 POSTURES = 100
 """Random postures that are looked at before a start is left where it was."""
 SPREAD = 4.0
@@ -41,39 +36,13 @@ TIGHT = 0.005
 them."""
 
 
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """Where another episode is left: its first actions lead there, and an episode of its own
-    begins.
-    """
-
-    parent: str
-    """What it is left of, by its digest."""
-    actions: Array  # (t, n_u) float32
-    state: Array  # (n_x,) float32, where they lead
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """One drawn episode: goals, obstacles and start angles."""
-
-    seed: int
-    split: str
-    index: int
-    goals: Array  # (k, 3) m
-    centre: Array | None  # (3,) of the object, m
-    spheres: Array  # (n_spheres, 4): x, y, z, radius, m
-    angles: Array  # (n_u,) start angles of the action joints, rad
-    branch: Branch | None = None
-    """Where the episode begins, if not at its own beginning."""
-
-
 class Draw:
     """Draws the problems of one scene; owns the kinematic model that verifies them."""
 
     def __init__(
         self,
         scene: Scene,
+        task: Task,
         model: mujoco.MjModel,
         config: EnvConfig,
         *,
@@ -84,12 +53,13 @@ class Draw:
 
         Args:
             scene: What to draw for.
+            task: Draws the goals.
             model: The scene's compiled model.
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
             start: Name of that pose.
         """
-        self._scene, self._config = scene, config
+        self._scene, self._task, self._config = scene, task, config
         self.reach = Reach(
             scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing
         )
@@ -119,15 +89,26 @@ class Draw:
         for _ in range(ATTEMPTS):
             angles = self._start(rng, split)
             spheres = self._spheres(rng)
-            goals, centre = self._goals(rng)
-            if self._feasible(goals, spheres, angles):
+            self.reach.place(spheres)
+            sample = self._task.sample(rng, self._scene, self.reach, angles)
+            if sample is not None and self._feasible(sample, spheres, angles):
                 if (
-                    split == "train"
+                    sample.track is None  # goals that move start where the palms are
+                    and split == "train"
                     and self._config.start_solved > 0
                     and rng.random() < self._config.start_solved
                 ):
                     angles = self._solved(rng, angles)
-                return Problem(seed, split, index, goals, centre, spheres, angles)
+                return Problem(
+                    seed,
+                    split,
+                    index,
+                    sample.goals,
+                    sample.centre,
+                    spheres,
+                    angles,
+                    track=sample.track,
+                )
         raise SimulationError(
             f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})"
         )
@@ -156,7 +137,8 @@ class Draw:
         others end (Florensa et al. 2017).
         """
         low, high = self.reach.limits.T
-        there = self.reach.solve(self._goals(rng)[0])
+        other = self._task.sample(rng, self._scene, self.reach, otherwise)
+        there = None if other is None else self.reach.solve(other.goals)
         if there is None:
             return otherwise
         for _ in range(POSTURES):
@@ -174,35 +156,15 @@ class Draw:
         if not count or box is None:
             return np.zeros((0, 4))
         low, high = self._scene.sphere_radius
-        return np.stack(
-            [np.append(_inside(rng, box), rng.uniform(low, high)) for _ in range(count)]
-        )
+        return np.stack([np.append(inside(rng, box), rng.uniform(low, high)) for _ in range(count)])
 
-    def _goals(self, rng: np.random.Generator) -> tuple[Array, Array | None]:
-        if (
-            self._scene.object_box is None
-        ):  # a goal of its own for every arm: where a random posture puts the palms
-            middle, half = self.reach.limits.mean(axis=1), np.ptp(self.reach.limits, axis=1) / 2
-            return self.reach.palms(
-                rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half)
-            ), None
-        centre = _inside(rng, self._scene.object_box)
-        sides = np.array([self._scene.palm_offset, -self._scene.palm_offset])
-        return np.stack([centre + np.array([0.0, side, 0.0]) for side in sides]), centre
-
-    def _feasible(self, goals: Array, spheres: Array, angles: Array) -> bool:
+    def _feasible(self, sample: Sample, spheres: Array, angles: Array) -> bool:
+        goals = sample.goals
         for sphere in spheres:
             if (
                 np.linalg.norm(goals - sphere[:3], axis=1) < sphere[3] + PALM_RADIUS + CLEARANCE
             ).any():
                 return False
-        self.reach.place(spheres)
         if self.reach.touches(angles, clearance=CLEARANCE):
             return False
-        # Goals that were drawn as a posture's palms are reachable as drawn.
-        return self._scene.object_box is None or self.reach.solve(goals) is not None
-
-
-def _inside(rng: np.random.Generator, box: Box3) -> Array:
-    low, high = np.array(box).T
-    return np.asarray(rng.uniform(low, high))
+        return sample.reachable or self.reach.solve(goals) is not None

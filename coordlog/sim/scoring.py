@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coordlog.contracts import Env, Outcome, Policy
 from coordlog.episode import Array
-from coordlog.sim.rollout import Env, Policy, rollout
-from coordlog.sim.simulation import Outcome
+from coordlog.sim.rollout import rollout
 
 NEAREST = 1e-4
 """e₁ + e₂ is clamped to this [m], so that a score stays finite."""
@@ -22,9 +22,9 @@ class Score(NamedTuple):
 
     length: int
     success: bool
-    """Every palm within its goal radius at the same step."""
+    """As the task means it (tasks/progress.py); reach: every palm at its goal at the same step."""
     clean: bool
-    """Success, with no collision and no instability in the whole episode."""
+    """Success, and nothing went wrong in the whole episode."""
     collided: bool
     fell: bool
     distance: tuple[float, ...]
@@ -67,12 +67,11 @@ class Scoreboard:
 
     def _ended(self, slot: int, outcome: Outcome, row: int) -> Score:
         diverged, fell = bool(outcome.diverged[row]), bool(outcome.instability[row])
-        success = bool(outcome.goal[row].all()) and not diverged
         collided = bool(self._collided[slot])
         score = Score(
             length=int(self._length[slot]),
-            success=success,
-            clean=success and not collided and not fell,
+            success=bool(outcome.success[row]) and not diverged,
+            clean=bool(outcome.clean[row]) and not diverged,
             collided=collided,
             fell=fell,
             distance=tuple(outcome.distance[row].tolist()),

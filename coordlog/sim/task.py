@@ -1,41 +1,54 @@
-"""What a model's numbers mean to the task: palms, goals, balance, policy state, servo targets.
-Arrays in, arrays out.
+"""A task bound to one compiled model: where in MuJoCo's arrays everything stands that it reads.
 
-A task is built from a robot spec and a compiled model by name alone, so a live scene and the model
-attached to a log give the same task.
+It is bound by name alone, so a live scene and the model attached to a log give the same numbers.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 
+from coordlog.contracts import Reading, Task
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, unknown
 from coordlog.kinematics import balance
 from coordlog.robots.robot import Robot
+from coordlog.spec import Field
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from coordlog.tasks.reach.observation import nearness, state_view
 from coordlog.tasks.scene import goal_body, link_sensor, palm_sensor, sole_corner, sphere_geom
 
 
-class Task:
-    """The paper's task for one robot in one compiled model.
+class BoundTask:
+    """A task for one robot in one compiled model; holds indices and constants, never a state.
 
-    Holds indices and constants, never a state.
+    Example:
+        >>> bound = env.task                                    # doctest: +SKIP
+        >>> bound.rules.name, bound.limits.shape                # doctest: +SKIP
+        ('reach', (13, 2))
     """
 
     def __init__(
-        self, robot: Robot, model: mujoco.MjModel, config: EnvConfig, reward: RewardConfig
+        self,
+        rules: Task,
+        robot: Robot,
+        model: mujoco.MjModel,
+        config: EnvConfig,
+        reward: RewardConfig,
     ) -> None:
         """Look up every name once.
+
+        Args:
+            rules: The task.
+            robot: Names.
+            model: Robot and scene, compiled.
+            config: Control, balance.
+            reward: Constants of the reward, for whoever asks for them.
 
         Raises:
             ConfigError: if the model lacks a joint, servo, site or body that the spec names.
         """
-        self.robot, self.model, self.config, self.reward = robot, model, config, reward
+        self.rules, self.robot, self.model = rules, robot, model
+        self.config, self.reward = config, reward
         try:
             joints = [model.joint(name) for name in robot.action_joints]
             servos = [model.actuator(name).id for name in robot.action_joints]
@@ -48,10 +61,9 @@ class Task:
         self.n_spheres = 0
         while mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, sphere_geom(self.n_spheres)) >= 0:
             self.n_spheres += 1
-        self.sphere_geoms = [model.geom(sphere_geom(i)).id for i in range(self.n_spheres)]
-        self.sphere_mocaps = [
-            int(model.body(sphere_geom(i)).mocapid[0]) for i in range(self.n_spheres)
-        ]
+        spheres = range(self.n_spheres)
+        self.sphere_geoms = [model.geom(sphere_geom(i)).id for i in spheres]
+        self.sphere_mocaps = [int(model.body(sphere_geom(i)).mocapid[0]) for i in spheres]
         self.goal_mocaps = self._goals
         self.substeps = config.substeps(model.opt.timestep)
         self.qpos_index: Array = np.array([joint.qposadr[0] for joint in joints])
@@ -70,7 +82,12 @@ class Task:
         self.speeds: Array = (
             robot.speeds(private=config.speed, shared=config.shared_speed) * ~self.locked
         )  # (n_u,) rad/s at action 1
-        self.view = state_view(robot, self.limits, spheres=self.n_spheres, config=config)
+        self.view = rules.view(robot, self.limits, spheres=self.n_spheres)
+        self._bind_sensors()
+
+    def _bind_sensors(self) -> None:
+        robot = self.robot
+        self._links: Array | None = None
         if "nearness" in self.view.places:
             self._links = self._sensors([link_sensor(arm.name) for arm in robot.arms])
         if robot.soles:
@@ -79,12 +96,23 @@ class Task:
             self._corners = self._sensors(
                 [sole_corner(sole, i) for sole in robot.soles for i in range(4)]
             )
-        if config.balance == "com+zmp" and robot.soles:
+        self._com_velocity: Array | None = None
+        if self.config.balance == "com+zmp" and robot.soles:
             self._com_velocity = self._sensors(["com_velocity"])
 
     def _sensors(self, names: list[str]) -> Array:
         """Addresses of three-dimensional sensors, (len(names), 3)."""
         return np.array([self.model.sensor(name).adr[0] + np.arange(3) for name in names])
+
+    @property
+    def name(self) -> str:
+        """The task's."""
+        return self.rules.name
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What the task logs of its own."""
+        return self.rules.fields
 
     def palms(self, sensors: Array) -> Array:
         """Palm positions, (n, k, 3) [m]."""
@@ -99,20 +127,40 @@ class Task:
 
         Zero unless the zero-moment point is watched.
         """
-        return (
-            np.asarray(sensors[:, self._com_velocity[0]])
-            if hasattr(self, "_com_velocity")
-            else np.zeros((len(sensors), 3))
-        )
+        if self._com_velocity is None:
+            return np.zeros((len(sensors), 3))
+        return np.asarray(sensors[:, self._com_velocity[0]])
+
+    def filtered(self, velocity: Array, action: Array) -> Array:
+        """The velocity command v ← c v + (1 - c) a that servo targets move at, (n, n_u)."""
+        smoothing = self.config.smoothing
+        return np.asarray(smoothing * velocity + (1.0 - smoothing) * action.astype(np.float64))
 
     def target(self, before: Array, velocity: Array) -> Array:
         """Servo targets one control period later: action joints move at `velocity` (of their
-        speed), within their ranges, (n, n_u).
+        speed), within their ranges, (n, n_c).
         """
         moved = before[:, self.servos] + velocity * self.speeds * self.config.control_period
         after = before.copy()
         after[:, self.servos] = np.clip(moved, self.limits[:, 0], self.limits[:, 1])
         return after
+
+    def action_to(self, target: Array, before: Array, velocity: Array) -> Array:
+        """The action that brings the action joints' servo targets from `before` to `target`, (n_u,)
+        [rad], in one control period, or as near as an action can, (n_u,) float32.
+
+        Args:
+            target: Where they are to be.
+            before: Where they are.
+            velocity: The velocity command so far, (n_u,).
+        """
+        step = self.speeds * self.config.control_period
+        wanted = np.divide(
+            target - before, step, out=np.zeros(len(step)), where=step > 0
+        )  # a locked joint stays
+        smoothing = self.config.smoothing
+        action = (wanted - smoothing * velocity) / (1.0 - smoothing)
+        return np.asarray(np.clip(action, -1.0, 1.0).astype(np.float32))
 
     def instability(self, sensors: Array, acceleration: Array) -> Array:
         """Falling: the centre of mass (and the zero-moment point, if watched) not over the shrunk
@@ -130,29 +178,24 @@ class Task:
         tipped = sensors[:, self._upright[0, 2]] < np.cos(self.config.tilt)
         return np.asarray((margin < self.config.balance_margin) | tipped)
 
-    def state(
+    def reading(
         self, qpos: Array, qvel: Array, sensors: Array, mocap_pos: Array, radii: Array
-    ) -> Array:
-        """The policy's state, (n, n_x) float32 (tasks/reach/observation.py).
+    ) -> Reading:
+        """What the task is told of n states.
 
-        `radii` (n, n_spheres) [m].
+        `radii` (n, n_spheres) are those of the spheres as the policy is told of them [m].
         """
-        palms, goals = self.palms(sensors), self.goals(mocap_pos)
-        n = len(qpos)
-        parts: dict[str, Any] = {
-            "angles": qpos[:, self.qpos_index],
-            "palms": palms.reshape(n, -1),
-            "goals": goals.reshape(n, -1),
-        }
-        if self.n_spheres:
-            spheres = np.concatenate([mocap_pos[:, self.sphere_mocaps], radii[:, :, None]], axis=2)
-            parts["spheres"] = spheres.reshape(n, -1)
-        if "difference" in self.view.places:
-            parts["difference"] = (goals - palms).reshape(n, -1)
-        if "com" in self.view.places:
-            parts["com"] = sensors[:, self._com[0, :2]]
-        if "nearness" in self.view.places:
-            parts["nearness"] = nearness(sensors[:, self._links], palms, spheres).reshape(n, -1)
-        if "velocity" in self.view.places:
-            parts["velocity"] = qvel[:, self.qvel_index]
-        return self.view.scaled(parts)
+        spheres = np.concatenate([mocap_pos[:, self.sphere_mocaps], radii[:, :, None]], axis=2)
+        return Reading(
+            angles=qpos[:, self.qpos_index],
+            velocities=qvel[:, self.qvel_index],
+            palms=self.palms(sensors),
+            goals=self.goals(mocap_pos),
+            spheres=spheres,
+            links=None if self._links is None else sensors[:, self._links],
+            com=sensors[:, self._com[0, :2]] if self.robot.soles else None,
+        )
+
+    def state(self, reading: Reading) -> Array:
+        """The policy's state, (n, n_x) float32."""
+        return self.view.scaled(self.rules.parts(reading, self.view))

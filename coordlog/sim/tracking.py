@@ -1,8 +1,8 @@
 """A log's scene run again with other actions than the logged ones, from the log's own first state
 to its own end rules.
 
-`Drive` keeps the servo targets that `Simulation` computes, and inverts them: which action brings a
-target about.
+What acts is told the present servo targets and joint angles, and may ask which action brings a
+target about (`Drive`).
 """
 
 from __future__ import annotations
@@ -13,58 +13,64 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from coordlog.episode import CONTACT, Array
-from coordlog.errors import FormatError
-from coordlog.sim.physics import STATE, Physics
-from coordlog.sim.replay import BEFORE, LED_TO, Log, task_of
+from coordlog.contracts import Outcome
+from coordlog.episode import Array
+from coordlog.sim.physics import STATE
+from coordlog.sim.replay import Log, LogEnv, Traced, first_state, task_of
+from coordlog.sim.rollout import ended, rollout
 from coordlog.sim.simulation import Simulation
-from coordlog.sim.task import Task
+from coordlog.spec import names
+
+ONE = np.zeros(1, dtype=np.int64)
 
 
 class Drive:
-    """Servo targets of the action joints under the command filter v ← c v + (1 - c) a, computed as
-    `Simulation` does.
+    """The action joints of one simulation, and the action that moves their servo targets.
+
+    Example:
+        >>> run(log, lambda step, drive: drive.action_to(path(step)))  # doctest: +SKIP
     """
 
-    def __init__(self, task: Task, ctrl: Array) -> None:
-        """Start at rest from the servo targets `ctrl` (n_servos,)."""
-        self._task, self._ctrl = task, ctrl[None].copy()
-        self._velocity = np.zeros(len(task.servos))
-        self.angles: Array = np.zeros(len(task.servos))
-        """Where the action joints are now, (n_u,) [rad].
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation, self._task = simulation, simulation.task
 
-        For whoever runs the simulation to keep.
-        """
+    @property
+    def angles(self) -> Array:
+        """Where the action joints are, (n_u,) [rad]."""
+        return np.asarray(self._simulation.qpos[0, self._task.qpos_index])
 
     @property
     def target(self) -> Array:
-        """Present targets of the action joints, (n_u,) [rad]."""
-        return np.asarray(self._ctrl[0, self._task.servos])
-
-    def step(self, action: Array) -> None:
-        """Move by one control period."""
-        smoothing = self._task.config.smoothing
-        self._velocity = smoothing * self._velocity + (1.0 - smoothing) * action.astype(np.float64)
-        self._ctrl = self._task.target(self._ctrl, self._velocity[None])
+        """Where their servos are told to bring them, (n_u,) [rad]."""
+        return np.asarray(self._simulation.target[0, self._task.servos])
 
     def action_to(self, target: Array) -> Array:
         """The action that brings the targets to `target` (n_u,) in one control period, or as near
         as an action can, (n_u,) float32.
         """
-        config = self._task.config
-        step = self._task.speeds * config.control_period
-        velocity = np.divide(
-            target - self.target, step, out=np.zeros(len(step)), where=step > 0
-        )  # a locked joint stays
-        action = (velocity - config.smoothing * self._velocity) / (1.0 - config.smoothing)
-        return np.asarray(np.clip(action, -1.0, 1.0).astype(np.float32))
+        return self._task.action_to(target, self.target, self._simulation.command[0])
+
+
+class _Driver:
+    """A function of step and drive, as a policy."""
+
+    def __init__(self, act: Callable[[int, Drive], Array], simulation: Simulation) -> None:
+        self._act, self._simulation = act, simulation
+        self._drive = Drive(simulation)
+
+    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
+        """Nothing to prepare."""
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """What the function says, (1, n_u)."""
+        return self._act(int(self._simulation.steps[0]), self._drive)[None]
 
 
 class Run(NamedTuple):
     """What came out of T steps."""
 
     columns: dict[str, Array]
-    """The fields of `spec.STEP` but `step`, with the shapes of `episode.Episode`."""
+    """The fields that the log's header names, with the shapes of `episode.Episode`."""
     contacts: Array  # (C,) CONTACT
     torque: Array  # (T, n_u) Nm of the action joints, at the end of each step
     diverged: bool
@@ -75,50 +81,25 @@ def run(log: Log, act: Callable[[int, Drive], Array], *, steps: int | None = Non
 
     Args:
         log: Model, first state and constants; its actions are not looked at.
-        act: Action (n_u,) float32 in [-1, 1] for a step and the servo targets before it.
+        act: Action (n_u,) float32 in [-1, 1] for a step and the joints before it.
         steps: Stop after this many, if nothing ends it earlier.
 
     Raises:
         FormatError: if the first state does not fit the model.
     """
-    task = task_of(log)
-    physics = Physics(log.model, n=1, threads=1, models=[log.model])
-    simulation, ids = Simulation(task, physics, n=1), np.array([0])
-    physics.rows[0] = _fitting(log)
-    simulation.begin(ids, log.model.geom_size[task.sphere_geoms, 0][None])
-    works = physics.torque  # bound before the first step: a later binding begins with zeros
-    drive = Drive(task, physics.ctrl[0])
-    before: dict[str, list[Array]] = {
-        name: [getattr(simulation, name)[0].copy()] for name in BEFORE
-    }
-    led_to: dict[str, list[Array]] = {name: [] for name in LED_TO}
-    actions: list[Array] = []
-    torque: list[Array] = []
-    contacts: list[Array] = []
-    over = diverged = False
-    while not over and (steps is None or len(actions) < steps):
-        drive.angles = simulation.qpos[0, task.qpos_index]
-        action = act(len(actions), drive)
-        drive.step(action)
-        outcome = simulation.step(action[None], ids)
-        rows = outcome.contacts[0].copy()
-        rows["step"] = len(actions)
-        contacts.append(rows)
-        actions.append(action)
-        torque.append(works[0, task.servos].copy())
-        for name in BEFORE:
-            before[name].append(getattr(simulation, name)[0].copy())
-        for name in LED_TO:
-            led_to[name].append(getattr(outcome, name)[0])
+    env = LogEnv([log])
+    traced, diverged = Traced(env), False
+
+    def over(ids: Array, outcome: Outcome) -> Array:
+        enough = steps is not None and bool(traced.steps[0] >= steps)
+        return ended(ids, outcome) | enough
+
+    for _, outcome in rollout(traced, _Driver(act, env.simulation), [0], seed=0, over=over):
         diverged = bool(outcome.diverged[0])
-        over = diverged or bool(outcome.terminated[0] | outcome.truncated[0])
-    columns = {name: np.array(values) for name, values in (before | led_to).items()}
-    return Run(
-        columns | {"action": np.array(actions)},
-        np.concatenate([np.zeros(0, CONTACT), *contacts]),
-        np.array(torque),
-        diverged,
-    )
+    every, contacts = traced.trace(0)
+    torque = every["torque"][:, env.task.servos]
+    columns = {name: every[name] for name in names(log.header.fields)}
+    return Run(columns, contacts, torque, diverged)
 
 
 def targets(log: Log) -> Array:
@@ -128,13 +109,14 @@ def targets(log: Log) -> Array:
     Raises:
         FormatError: if the first state does not fit the model.
     """
-    data = mujoco.MjData(log.model)
-    mujoco.mj_setState(log.model, data, _fitting(log), STATE)
-    drive = Drive(task_of(log), data.ctrl)
-    found = [drive.target.copy()]
+    task, data = task_of(log), mujoco.MjData(log.model)
+    mujoco.mj_setState(log.model, data, first_state(log), STATE)
+    target, command = data.ctrl[None].copy(), np.zeros((1, len(task.servos)))
+    found = [target[0, task.servos]]
     for action in log.action:
-        drive.step(action)
-        found.append(drive.target.copy())
+        command = task.filtered(command, action[None])
+        target = task.target(target, command)
+        found.append(target[0, task.servos])
     return np.stack(found)
 
 
@@ -148,7 +130,7 @@ def torques(log: Log, wanted: Array) -> Array:
         wanted: Servo targets as from `targets`.
     """
     task, model, data = task_of(log), log.model, mujoco.MjData(log.model)
-    mujoco.mj_setState(model, data, _fitting(log), STATE)
+    mujoco.mj_setState(model, data, first_state(log), STATE)
     found = np.empty((len(wanted) - 1, len(task.servos)))
     before = data.ctrl.copy()
     for step in range(len(found)):
@@ -159,12 +141,3 @@ def torques(log: Log, wanted: Array) -> Array:
             mujoco.mj_step(model, data)
         found[step], before = data.actuator_force[task.servos], after
     return found
-
-
-def _fitting(log: Log) -> Array:
-    size = mujoco.mj_stateSize(log.model, STATE)
-    if log.start.shape != (size,):
-        raise FormatError(
-            f"initial state: expected {size} numbers for this model, got {log.start.size}"
-        )
-    return log.start

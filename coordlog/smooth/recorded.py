@@ -53,7 +53,7 @@ class Recorded(NamedTuple):
         """
         model = SceneChecker.model_of(episode, attachments)
         start = np.frombuffer(attachments[INITIAL_STATE], dtype="<f8")
-        return cls(episode, Log(episode.header, model, start, episode.action), digest)
+        return cls(episode, Log.of(episode, model, start), digest)
 
 
 def smooth_episode(recorded: Recorded, settings: Json) -> tuple[Episode, Json]:

@@ -54,6 +54,8 @@ class Scene:
     """Range of their radii [m]."""
     sphere_box: Box3 | None = None
     """Where their centres are drawn, (x, y, z) ranges [m]."""
+    task: str = "reach"
+    """Name of the task that is done in it (tasks/registry.py)."""
 
     def __post_init__(self) -> None:
         if (self.object_half is None) != (self.object_box is None):
@@ -152,6 +154,7 @@ SCENES = {
             0.045,
         ),
         Scene("planar", "Three goals in the plane for the 8-link planar arm", PLANAR),
+        Scene("hold", "Goals on both palms that move away slowly for 3 s", HUMANOID, task="hold"),
     )
 }
 """The scenes that ship; the first four are the paper's."""

@@ -12,10 +12,10 @@ from itertools import count
 
 import numpy as np
 
+from coordlog.contracts import Env, Outcome
 from coordlog.episode import Array
-from coordlog.sim.rollout import Env, rollout
+from coordlog.sim.rollout import rollout
 from coordlog.sim.scoring import Score, Scoreboard, figures
-from coordlog.sim.simulation import Outcome
 from coordlog.train.buffer import Block
 
 FLAGS = 6

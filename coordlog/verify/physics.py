@@ -79,7 +79,7 @@ def _load(path: File) -> tuple[Episode, Log]:
     episode, attached = read_episode(path), read_attachments(path)
     model = load_model(attached.get(MODEL_XML), attached.get(MODEL_MJB))
     start = np.frombuffer(attached.get(INITIAL_STATE, b""), dtype=np.float64)
-    return episode, Log(episode.header, model, start, episode.action)
+    return episode, Log.of(episode, model, start)
 
 
 def _replay_each(

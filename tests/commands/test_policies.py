@@ -18,6 +18,7 @@ from coordlog.errors import ConfigError, SpecError
 from coordlog.policies.damper import Shielded
 from coordlog.policies.learned import Policy
 from coordlog.sim.scoring import evaluate
+from coordlog.tasks.config import TRAINING_ONLY
 
 FILES = sorted(SHIPPED.glob("*.safetensors"))
 
@@ -35,7 +36,10 @@ def test_a_shipped_policy_is_small_and_has_a_card_that_is_its_own(path: Path) ->
         assert file.metadata()["kind"] == "coordlog policy"
     said = Policy.load(path).about
     training = card["training"]
-    assert said["scene"] == card["scene"] == path.stem
+    kind = card.get("kind", "")
+    assert said["scene"] == card["scene"]
+    assert path.stem == card["scene"] + (f"-{kind}" if kind else "")
+    assert kind != "live" or said["mode"] == "live"
     assert card["shield"] == (path.stem == "spheres")
     assert training["command"].startswith("coordlog train ")
     assert training["logs_sha256"] == said["data"]
@@ -103,3 +107,24 @@ def test_a_policy_of_another_layout_is_refused() -> None:
     env = make_env("table", {"env": {"state_extras": []}}, start="stand", envs=1, threads=1)
     with pytest.raises(SpecError, match="its state is not that of scene 'table'"):
         make_policy("pretrained", env)
+
+
+def test_what_learnt_live_is_asked_for_by_its_kind() -> None:
+    with pytest.raises(ConfigError, match="no live policy ships for scene 'planar'; one does for"):
+        policy_file("pretrained:live", "planar")
+    with pytest.raises(
+        ConfigError, match="unknown policy 'pretrained:alive'; choose one of: pretrained, pretr"
+    ):
+        policy_file("pretrained:alive", "table")
+    live = sorted(path.stem for path in FILES if path.stem.endswith("-live"))
+    for stem in live:
+        scene = stem.removesuffix("-live")
+        assert policy_file("pretrained:live", scene) == SHIPPED / f"{stem}.safetensors"
+        config = Policy.load(SHIPPED / f"{stem}.safetensors").about["env"]["config"]
+        assert [config[name] for name in TRAINING_ONLY] == [0.0] * 4, (
+            "it knows the true scene alone"
+        )
+        env = make_env(scene, {"env": config}, start="stand", envs=2, threads=1)
+        policy, said = make_policy("pretrained:live", env)
+        assert said["name"] == f"pretrained/{stem}"
+        assert all(score.success for score in evaluate(env, policy, episodes=2, k=2, seed=1))

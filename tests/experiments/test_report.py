@@ -195,7 +195,9 @@ def test_every_recipe_says_what_it_is_and_how() -> None:
 
 def test_cards_say_what_the_tables_say(found: dict[str, Any]) -> None:
     for path in SHIPPED.glob("*.json"):
-        card, table = json.loads(path.read_text(encoding="utf-8")), found[f"{path.stem}-shipped"]
+        card = json.loads(path.read_text(encoding="utf-8"))
+        row = f"shipped-{card['kind']}" if card.get("kind") else "shipped"
+        table = found[f"{card['scene']}-{row}"]
         assert card["sha256"] == table["policy"]["sha256"]
         for radius in ("3 cm", "2 cm"):
             for name in ("success", "clean", "collisions", "falls"):

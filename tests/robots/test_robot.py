@@ -12,14 +12,17 @@ from coordlog.robots.humanoid import HUMANOID
 from coordlog.robots.planar import PLANAR
 from coordlog.robots.robot import Arm, Robot
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.task import Task
+from coordlog.sim.task import BoundTask
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.registry import make_task
 from coordlog.tasks.scene import Scene, find
 
 
 def build(robot):
     scene = replace(find("free"), robot=robot)
-    return Task(robot, compile_model(compose(scene, EnvConfig())), EnvConfig(), RewardConfig())
+    config, reward = EnvConfig(), RewardConfig()
+    rules = make_task("reach", config, reward)
+    return BoundTask(rules, robot, compile_model(compose(scene, config)), config, reward)
 
 
 def test_no_arm_is_refused():

@@ -130,7 +130,7 @@ def test_a_joint_leaves_its_limit_as_soon_as_it_is_told_to():
 
 def test_the_spine_is_slower_than_the_arms_and_a_command_builds_up():
     env = started()
-    config, target = env.task.config, env.simulation._target
+    config, target = env.task.config, env.simulation.target
     spine, elbow = (
         env.scene.robot.action_joints.index("abs_z"),
         env.scene.robot.action_joints.index("l_elbow_y"),
@@ -140,7 +140,7 @@ def test_the_spine_is_slower_than_the_arms_and_a_command_builds_up():
     for _ in range(4):
         before = target.copy()
         env.step(action, np.zeros(1, dtype=int))
-        moved.append((env.simulation._target - before)[0, env.task.servos[[spine, elbow]]])
+        moved.append((env.simulation.target - before)[0, env.task.servos[[spine, elbow]]])
         filtered = config.smoothing * filtered + (1 - config.smoothing)
         assert moved[-1][0] == pytest.approx(filtered * config.shared_speed * config.control_period)
         assert moved[-1][1] == pytest.approx(-filtered * config.speed * config.control_period)

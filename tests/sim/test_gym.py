@@ -1,10 +1,15 @@
 """The Gymnasium face: conformant, goal-conditioned, and the same physics as the batch."""
 
+import pickle
+import tomllib
 import warnings
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs import registration
 from gymnasium.utils.env_checker import check_env
 
 from coordlog.errors import ConfigError, SpecError
@@ -13,6 +18,8 @@ from coordlog.sim.gym import GymEnv
 from coordlog.sim.gym_ids import gym_id, register
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.scene import SCENES
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +54,16 @@ def test_passes_gymnasiums_checker_without_a_warning(name):
         check_env(GymEnv(name), skip_render_check=True)
 
 
-def test_ids_are_registered_by_a_call_and_only_then():
-    register()
-    register()
-    for name in SCENES:
-        assert gym_id(name) in gymnasium.registry
+def test_gymnasium_finds_the_ids_by_the_entry_point_of_the_package():
+    """As `gymnasium.make` loads plugins: the entry point within a namespace of its name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    ((name, value),) = project["entry-points"]["gymnasium.envs"].items()
+    for scene in SCENES:
+        gymnasium.registry.pop(gym_id(scene), None)
+    with registration.namespace(name):
+        EntryPoint(name, value, "gymnasium.envs").load()()
+    assert set(map(gym_id, SCENES)) <= set(gymnasium.registry)
+    register()  # again is harmless
     made = gymnasium.make("coordlog/free-v0")
     assert isinstance(made.unwrapped, GymEnv)
     observation, _ = made.reset(seed=0)
@@ -59,12 +71,42 @@ def test_ids_are_registered_by_a_call_and_only_then():
     made.close()
 
 
+@pytest.mark.parametrize("name", ["planar", "hold"])
+def test_infos_have_the_same_keys_types_and_shapes_after_a_reset_as_after_a_step(name):
+    env = GymEnv(name)
+    _, first = env.reset(seed=0)
+    *_, second = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert list(first) == list(second)
+    for key, value in first.items():
+        assert type(value) is type(second[key]), key
+        assert np.shape(value) == np.shape(second[key]), key
+    assert not first["collision"]
+    assert (first["rewards"] == 0).all()
+
+
+def test_a_pickled_environment_goes_on_with_the_next_problem():
+    env = GymEnv("free", config=EnvConfig(max_steps=9), split="test")
+    env.reset(seed=3)
+    copy = pickle.loads(pickle.dumps(env))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        copy.step(np.zeros(copy.action_space.shape, np.float32))
+    (one, said), (other, same) = env.reset(), copy.reset()
+    assert {key: said[key] for key in ("seed", "index", "split")} == {
+        "seed": 3,
+        "index": 1,
+        "split": "test",
+    }
+    assert [same[key] for key in ("seed", "index", "split")] == [3, 1, "test"]
+    for key, value in one.items():
+        assert value.tobytes() == other[key].tobytes(), key
+
+
 def test_is_the_same_simulation_as_the_batch(env):
     batch = BatchEnv(SCENES["table"], n=1, threads=1)
     one = np.zeros(1, dtype=int)
     batch.reset(one, [batch.problem(seed=5, split="test", index=3)])
     observation, info = env.reset(seed=5, options={"index": 3, "split": "test"})
-    assert info == {"seed": 5, "index": 3, "split": "test"}
+    assert (info["seed"], info["index"], info["split"]) == (5, 3, "test")
     rng = np.random.default_rng(0)
     for _ in range(20):
         action = rng.uniform(-1, 1, 13).astype(np.float32)

@@ -87,7 +87,7 @@ def test_the_expert_never_asks_a_locked_joint_to_move(env: BatchEnv) -> None:
 
 def test_a_drive_asks_nothing_of_a_locked_joint(env: BatchEnv) -> None:
     env.reset(np.arange(2), problems(env))
-    drive = Drive(env.task, env.physics.ctrl[0])
+    drive = Drive(env.simulation)
     action = drive.action_to(drive.target + 0.01)
     assert (action[env.task.locked] == 0.0).all()
     assert (action[~env.task.locked] > 0.0).all()

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from coordlog.contracts import Outcome
 from coordlog.errors import SpecError
 from coordlog.policies.noise import Random, Still
 from coordlog.record.recorder import Recorder
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.rollout import policy_rng, rollout
-from coordlog.sim.simulation import Outcome
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 from tests.contracts import EnvContract
@@ -47,7 +47,8 @@ class Scripted:
             for name in ("terminated", "truncated", "diverged")
         }
         none = np.zeros((len(ids), 1))
-        return Outcome(none, none, none, none, over, over, contacts=[], **flags)
+        diverged = flags.pop("diverged")
+        return Outcome({"reward": none, **flags}, diverged, contacts=[])
 
 
 class Counting(Still):

@@ -167,7 +167,11 @@ def test_a_scene_that_asks_too_much_says_so(envs, monkeypatch):
         SimulationError, match=r"scene 'free': no feasible problem in 3 draws \(seed 0, episode 7\)"
     ):
         Draw(
-            far, env.task.model, EnvConfig(), standing=env._rest[1 : 1 + env.task.model.nq]
+            far,
+            env.task.rules,
+            env.task.model,
+            EnvConfig(),
+            standing=env._rest[1 : 1 + env.task.model.nq],
         ).problem(seed=0, split="train", index=7)
 
 

@@ -13,7 +13,7 @@ import pytest
 from coordlog.errors import ConfigError, StorageError
 from coordlog.record.reader import read_episode
 from coordlog.sim.simulation import Simulation
-from coordlog.sim.task import Task
+from coordlog.sim.task import BoundTask
 from coordlog.smooth.batch import Job, plan, smooth_file, summary
 
 SETTINGS = {"method": "local", "cutoff": "max", "max_deviation": None, "clearance": 0.005}
@@ -50,7 +50,7 @@ def test_a_file_is_read_once_its_model_compiled_once_and_its_task_built_once(
     monkeypatch.setattr(os, "open", open_)
     compile_ = mujoco.MjModel.from_xml_string
     monkeypatch.setattr(mujoco.MjModel, "from_xml_string", counted("compiled", compile_))
-    monkeypatch.setattr(Task, "__init__", counted("task", Task.__init__))
+    monkeypatch.setattr(BoundTask, "__init__", counted("task", BoundTask.__init__))
     monkeypatch.setattr(Simulation, "step", counted("step", Simulation.step))
     row = smooth_file(Job(log, tmp_path / log.name, SETTINGS, True, False))
     assert row["status"] in ("smoothed", "partly"), row["reason"]

@@ -12,7 +12,7 @@ from coordlog.episode import INITIAL_STATE, Episode, Header, Result
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.scripted import scripted, with_noise
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.replay import Log, replay, task_of
+from coordlog.sim.replay import Log, LogEnv, replay, task_of
 from coordlog.sim.rollout import rollout
 from coordlog.sim.tracking import Drive, run, targets
 from coordlog.smooth.execute import execute, logged_torques, worse
@@ -107,10 +107,11 @@ def test_an_action_brings_about_the_target_it_was_made_for(table, seed):
     One out of reach is approached with all speed.
     """
     log, _, _ = table
-    task, rng = task_of(log), np.random.default_rng(seed)
-    drive = Drive(task, targets_of_start(log))
+    env, rng, ids = LogEnv([log]), np.random.default_rng(seed), np.array([0])
+    env.reset(ids, [env.problem(seed=0, split="", index=0)])
+    task, drive = env.task, Drive(env.simulation)
     for _ in range(10):
-        drive.step(rng.uniform(-0.3, 0.3, len(task.servos)).astype(np.float32))
+        env.step(rng.uniform(-0.3, 0.3, (1, len(task.servos))).astype(np.float32), ids)
     wanted = drive.target + 0.2 * task.speeds * task.config.control_period * rng.uniform(
         -1, 1, len(task.servos)
     )
@@ -118,20 +119,12 @@ def test_an_action_brings_about_the_target_it_was_made_for(table, seed):
     assert action.dtype == np.float32
     assert (np.abs(action) <= 1.0).all()
     before = drive.target.copy()
-    drive.step(action)
+    env.step(action[None], ids)
     free = np.abs(action) < 1.0
     assert free.any()
     assert np.abs(drive.target - wanted)[free].max() < 1e-7
     far = drive.action_to(before + 10.0)
     assert (far == 1.0).all()
-
-
-def targets_of_start(log):
-    import mujoco
-
-    data = mujoco.MjData(log.model)
-    mujoco.mj_setState(log.model, data, log.start, mujoco.mjtState.mjSTATE_INTEGRATION)
-    return data.ctrl.copy()
 
 
 def test_a_smoothed_path_is_followed_and_works_the_servos_less(table):

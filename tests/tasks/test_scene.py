@@ -64,7 +64,7 @@ def test_a_scene_is_found_by_name_and_an_unknown_one_lists_the_choices():
     assert find("table") is SCENES["table"]
     with pytest.raises(
         ConfigError,
-        match=r"unknown scene 'desk'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table",
+        match=r"unknown scene 'desk'; choose one of: a FILE.py:NAME of your own, free, hold, planar, shelf, spheres, table",
     ):
         find("desk")
 

@@ -37,7 +37,12 @@ def proximity(distance: Array, config: EnvConfig) -> tuple[Array, Array]:
     """The flags gb_i and goal_i: palms strictly closer than the boundary and the goal radius, (...,
     k) each.
     """
-    return distance < config.boundary_radius, distance < config.goal_radius
+    return within(distance, boundary=config.boundary_radius, goal=config.goal_radius)
+
+
+def within(distance: Array, *, boundary: float, goal: float) -> tuple[Array, Array]:
+    """The same for radii [m] by themselves."""
+    return distance < boundary, distance < goal
 
 
 def rewards(distance: Array, flags: Flags, config: RewardConfig) -> Array:
@@ -49,19 +54,23 @@ def rewards(distance: Array, flags: Flags, config: RewardConfig) -> Array:
 
     Source: the paper's equations `reward` and the one after it.
     """
+    finished = flags.goal.all(axis=-1) & ~flags.collision & ~flags.instability
+    return np.where(finished[..., None], config.kappa, shaped(distance, flags, config))
+
+
+def shaped(distance: Array, flags: Flags, config: RewardConfig) -> Array:
+    """The terms of the reward that do not end an episode, (..., k): all but κ."""
     team = -config.n1 * flags.collision - config.n2 * flags.instability
-    each = (
+    return np.asarray(
         -config.alpha * distance
         + config.m1 * flags.boundary
         + config.m2 * flags.goal
         + team[..., None]
     )
-    finished = flags.goal.all(axis=-1) & ~flags.collision & ~flags.instability
-    return np.where(finished[..., None], config.kappa, each)
 
 
-def terminations(flags: Flags) -> Array:
+def ended(goal: Array, instability: Array) -> Array:
     """The task ended: the robot lost its balance, or every goal was reached at this step (the
     paper's Algorithm 1), (...).
     """
-    return np.asarray(flags.instability | flags.goal.all(axis=-1))
+    return np.asarray(instability | goal.all(axis=-1))

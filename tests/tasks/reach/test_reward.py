@@ -7,7 +7,7 @@ import pytest
 
 from coordlog.errors import ConfigError
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from coordlog.tasks.reach.reward import Flags, distances, proximity, rewards, terminations
+from coordlog.tasks.reach.reward import Flags, distances, ended, proximity, rewards
 
 CONFIG = RewardConfig(alpha=2.0, n1=0.5, n2=7.0, m1=0.11, m2=0.31, kappa=40.0)
 
@@ -93,8 +93,9 @@ def test_three_arms_finish_together_or_not_at_all():
 
 def test_an_episode_ends_on_instability_or_on_all_goals_and_on_nothing_else():
     for b1, b2, g1, g2, collision, instability in product((False, True), repeat=6):
-        ended = terminations(flags((b1, b2), (g1, g2), collision, instability))
-        assert bool(ended) == (instability or (g1 and g2))
+        said = flags((b1, b2), (g1, g2), collision, instability)
+        over = ended(said.goal, said.instability)
+        assert bool(over) == (instability or (g1 and g2))
 
 
 def test_radii_are_strict():

@@ -1,0 +1,246 @@
+"""coordlog import: other programs' recordings as observed episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+
+if TYPE_CHECKING:
+    from coordlog.exchange.importing import Imported, Plan, Understood
+    from coordlog.exchange.robot_model import RobotModel
+
+SAID = 12
+"""Notes that are printed; --json has all."""
+
+
+def import_(
+    source: Annotated[
+        list[Path],
+        typer.Argument(
+            help="ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, .parquet, .csv."
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the episodes; not needed with --inspect.")
+    ] = None,
+    robot: Annotated[
+        str, typer.Option(help="MJCF or URDF file, or one of our scenes.", metavar="MODEL")
+    ] = "",
+    joints: Annotated[
+        Path | None,
+        typer.Option(help="Joint names, scales and offsets, in TOML.", metavar="MAP.toml"),
+    ] = None,
+    inspect: Annotated[
+        bool, typer.Option("--inspect", help="Show what is understood; write nothing.")
+    ] = False,
+    topic: Annotated[str, typer.Option(help="Topic of a bag or MCAP.")] = "",
+    stamps: Annotated[
+        str, typer.Option(help="Clock of a bag: header or log; by default header.")
+    ] = "",
+    state: Annotated[
+        str, typer.Option(help="Feature or data set with the joint positions.", metavar="KEY")
+    ] = "",
+    action: Annotated[
+        str, typer.Option(help="LeRobot feature with the commanded positions.", metavar="KEY")
+    ] = "",
+    columns: Annotated[
+        str, typer.Option(help="Columns of a table with joint positions.", metavar="A,B,…")
+    ] = "",
+    clock: Annotated[
+        str, typer.Option(help="Column of a table with the time.", metavar="COLUMN")
+    ] = "",
+    names: Annotated[
+        str, typer.Option(help="Names of the joints, where the source has none.", metavar="A,B,…")
+    ] = "",
+    names_field: Annotated[
+        str, typer.Option(help="Field of a JSON or protobuf message with the joint names.")
+    ] = "",
+    position_field: Annotated[
+        str, typer.Option(help="Field of a JSON or protobuf message with the positions.")
+    ] = "",
+    rate: Annotated[
+        float, typer.Option(min=0, help="Samples a second, where there is no clock.", metavar="HZ")
+    ] = 0.0,
+    degrees: Annotated[
+        bool, typer.Option("--degrees", help="Angles are in degrees: turn them into radians.")
+    ] = False,
+    gap: Annotated[
+        float | None,
+        typer.Option(min=0, help="Begin an episode after a gap this long.", metavar="S"),
+    ] = None,
+    split_topic: Annotated[
+        str, typer.Option(help="Begin an episode at every message on this topic.")
+    ] = "",
+    split_clock: Annotated[
+        bool, typer.Option("--split-clock", help="Begin an episode where time steps back.")
+    ] = False,
+    resample: Annotated[
+        float,
+        typer.Option(
+            min=0, help="Even samples, by straight lines; said in the lineage.", metavar="HZ"
+        ),
+    ] = 0.0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write episodes that are there again.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Turn recordings of other programs into observed episodes: seen, not simulated.
+
+    Stamps stay as they were; jitter, gaps and repeated stamps are reported for each file. What the
+    source does not say has to be said here, and what was done stands in the lineage, with the
+    source's sha256. Smooth them, look at them, export them as any other episode.
+
+    Exit code 3 if a part of a source could not become an episode; each is named.
+
+    Examples:
+
+        coordlog import rosbag/ --out logs/ --robot arm.xml --inspect
+
+        coordlog import rosbag/ --out logs/ --robot arm.xml --gap 0.3
+    """
+    from coordlog.exchange.importing import Plan
+    from coordlog.exchange.joints import JointMap, read_map
+    from coordlog.exchange.sources import Reading
+
+    reading = Reading(
+        topic=topic,
+        stamps=stamps,
+        state=state,
+        action=action,
+        columns=_listed(columns),
+        clock=clock,
+        names=_listed(names),
+        names_field=names_field,
+        position_field=position_field,
+        rate=rate,
+        degrees=degrees,
+    )
+    given = read_map(joints) if joints else JointMap()
+    plan = Plan(reading, given, gap, split_topic, split_clock, resample)
+    model = _model(robot)
+    if inspect:
+        _inspect(source, plan, model, as_json=as_json)
+        return
+    if out is None:
+        raise ConfigError(
+            "--out: expected a folder for the episodes, or --inspect to write nothing"
+        )
+    _import(source, out, plan, model, force=force, as_json=as_json)
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def _model(robot: str) -> RobotModel | None:
+    if not robot:
+        return None
+    from coordlog.exchange.robot_model import read_model
+
+    return read_model(robot)
+
+
+def _inspect(source: list[Path], plan: Plan, model: RobotModel | None, *, as_json: bool) -> None:
+    from coordlog.exchange.importing import understood
+
+    found = [each for path in source for each in understood(path, plan, model)]
+    if as_json:
+        terminal.print_json([each.to_json() for each in found])
+        return
+    for each in found[:SAID]:
+        _show(each)
+    if len(found) > SAID:
+        terminal.note(f"{len(found) - SAID} more episodes; --json has them all")
+
+
+def _show(each: Understood) -> None:
+    motion = each.motion
+    joints = [
+        name if name == given else f"{name} ({given})"
+        for name, given in zip(motion.names, each.source_joints, strict=False)
+    ]
+    if len(motion.names) != len(each.source_joints):
+        joints = list(motion.names)
+    pairs: list[tuple[str, object]] = [
+        ("format", motion.format),
+        ("clock", f"{motion.clock}: {motion.timing}"),
+        ("joints", ", ".join(joints)),
+        ("velocity", "of the source" if motion.velocity is not None else "differences"),
+        ("action", "of the source" if motion.action is not None else "the position reached next"),
+    ]
+    if motion.task:
+        pairs.append(("task", motion.task))
+    terminal.facts(pairs, title=str(motion))
+    for said in (*motion.notes, *each.doubts):
+        terminal.note(f"  {said}")
+
+
+def _import(
+    source: list[Path],
+    out: Path,
+    plan: Plan,
+    model: RobotModel | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from coordlog.exchange.importing import import_source
+
+    done: list[Imported] = []
+    with terminal.progress() as bar, terminal.interruptible() as interrupted:
+        task = bar.add_task("importing", total=len(source), note="")
+        for path in source:
+            done.append(import_source(path, out, plan, model, force=force))
+            bar.update(task, advance=1, note=f"{sum(len(each.paths) for each in done)} episodes")
+            if interrupted:
+                break
+    if as_json:
+        terminal.print_json([_report(each) for each in done])
+    else:
+        for each in done:
+            _said(each)
+    if interrupted:
+        terminal.note(f"interrupted after {len(done)} of {len(source)} sources")
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if any(each.left_out for each in done):
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _report(each: Imported) -> dict[str, object]:
+    return {
+        "source": str(each.source),
+        "episodes": [str(path) for path in each.paths],
+        "steps": each.steps,
+        "present": each.present,
+        "left_out": list(each.left_out),
+        "understood": [item.to_json() for item in each.understood],
+    }
+
+
+def _said(each: Imported) -> None:
+    there = f" ({each.present} were there already)" if each.present else ""
+    terminal.out.print(
+        f"{each.source}: {len(each.paths)} observed episodes{there}, {each.steps:,} steps",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+    notes: dict[str, int] = {}
+    for item in each.understood:
+        for said in (*item.motion.notes, *item.doubts):
+            notes[said] = notes.get(said, 0) + 1
+    for said, count in list(notes.items())[:SAID]:
+        terminal.note(f"  {said}" + (f" ({count} episodes)" if count > 1 else ""))
+    if len(notes) > SAID:
+        terminal.note(f"  {len(notes) - SAID} more notes; --json has them all")
+    clocks = [str(item.motion.timing) for item in each.understood]
+    for said in clocks[:3]:
+        terminal.note(f"  clock: {said}")
+    for reason in each.left_out:
+        terminal.note(f"left out: {reason}")

@@ -1,0 +1,263 @@
+"""LeRobot data sets in, v3.0 and v2.1: joint positions and actions of every episode.
+
+Only files below the folder are read; nothing is ever fetched. Videos are named, not decoded. An
+episode's samples are its rows; a row says no more after the last one, so that the last row's action
+has no outcome and is kept in the lineage alone.
+
+Source: lerobot 0.6.1, datasets/.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from coordlog.episode import Array, Json
+from coordlog.errors import ConfigError, FormatError
+from coordlog.exchange.motion import NS, Motion
+
+VERSIONS = ("v3.0", "v2.1", "v2.0")
+STATE, ACTION = "observation.state", "action"
+TOLERANCE = 1e-4
+"""Largest difference between a row's time stamp and its number over fps [s], as LeRobot's own."""
+
+
+class Rows(NamedTuple):
+    """Where the rows of an episode are."""
+
+    episode: int
+    length: int
+    file: Path
+    task: str
+
+
+def motions(path: Path, *, state: str = "", action: str = "") -> Iterator[Motion]:
+    """Every episode of a data set.
+
+    Args:
+        path: Folder of the set.
+        state: Feature with the joint positions; "" for `observation.state`.
+        action: Feature with the commanded positions; "" for `action`, if it has the same joints.
+
+    Raises:
+        FormatError: if files are missing or damaged, or episodes have gaps.
+        ConfigError: if there is no such feature.
+    """
+    info = read_info(path)
+    key = state or STATE
+    names = joint_names(path, info, key)
+    wanted = action or ACTION
+    acts = wanted in info["features"] and _names(info["features"][wanted]) == _names(
+        info["features"][key]
+    )
+    columns = [key, *([wanted] if acts else [])]
+    notes = _videos(info)
+    if wanted in info["features"] and not acts:
+        notes += (f"{wanted} is of other joints than {key}, and was not taken",)
+    opened: tuple[Path, pa.Table] | None = None
+    for rows in episodes(path, info):
+        if opened is None or opened[0] != rows.file:
+            opened = rows.file, _table(rows.file, columns)
+        yield _motion(path, info, rows, opened[1], columns, names, notes)
+
+
+def read_info(path: Path) -> Json:
+    """info.json of a set.
+
+    Raises:
+        FormatError: if it is missing or lacks what is needed.
+    """
+    file = path / "meta" / "info.json"
+    try:
+        info = json.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise FormatError(f"{file}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise FormatError(f"{file}: expected JSON, got: {error}") from error
+    for name in ("codebase_version", "fps", "features", "total_episodes", "data_path"):
+        if name not in info:
+            raise FormatError(f"{file}: '{name}' missing: not a LeRobot data set of v2 or v3")
+    if info["codebase_version"] not in VERSIONS:
+        raise FormatError(
+            f"{file}: expected version {', '.join(VERSIONS)}, got {info['codebase_version']}"
+        )
+    if not isinstance(info["fps"], int | float) or not info["fps"] > 0:
+        raise FormatError(f"{file}: fps: expected a positive number, got {info['fps']!r}")
+    return dict(info)
+
+
+def joint_names(path: Path, info: Json, key: str) -> tuple[str, ...]:
+    """Names of the joints in a feature; numbered if the set has none.
+
+    Raises:
+        ConfigError: if there is no such feature, or it is not a list of numbers.
+    """
+    feature = info["features"].get(key)
+    vectors = [
+        name
+        for name, each in info["features"].items()
+        if each.get("dtype", "").startswith("float") and len(each.get("shape", ())) == 1
+    ]
+    if feature is None or key not in vectors:
+        raise ConfigError(
+            f"{path}: expected joint positions in '{key}', got no such feature; choose one with --state: {', '.join(vectors)}"
+        )
+    names = _names(feature)
+    return names or tuple(f"{key}_{i}" for i in range(feature["shape"][0]))
+
+
+def episodes(path: Path, info: Json) -> Iterator[Rows]:
+    """Where each episode is, in order.
+
+    Raises:
+        FormatError: if an episode is missing, or they are not numbered without gaps.
+    """
+    found = _v3(path, info) if info["codebase_version"] == "v3.0" else _v2(path, info)
+    count = 0
+    for rows in found:
+        if rows.episode != count:
+            raise FormatError(
+                f"{path}: expected episode {count}, got {rows.episode}: the set has a gap, and every later episode would be taken for another; mend it with LeRobot's own tools"
+            )
+        count += 1
+        yield rows
+    if count != info["total_episodes"]:
+        raise FormatError(
+            f"{path}: info.json says {info['total_episodes']} episodes, the set has {count}"
+        )
+
+
+def _v3(path: Path, info: Json) -> Iterator[Rows]:
+    files = sorted((path / "meta" / "episodes").rglob("*.parquet"))
+    if not files:
+        raise FormatError(f"{path}: meta/episodes is missing: cannot tell where episodes begin")
+    for file in files:
+        names = ["episode_index", "length", "tasks", "data/chunk_index", "data/file_index"]
+        for row in _table(file, names).to_pylist():
+            place = {
+                "chunk_index": row["data/chunk_index"],
+                "file_index": row["data/file_index"],
+            }
+            data = path / str(info["data_path"]).format(**place)
+            task = (row["tasks"] or [""])[0]
+            yield Rows(row["episode_index"], row["length"], data, task)
+
+
+def _v2(path: Path, info: Json) -> Iterator[Rows]:
+    file = path / "meta" / "episodes.jsonl"
+    try:
+        lines = file.read_text("utf-8").splitlines()
+    except OSError as error:
+        raise FormatError(f"{file}: cannot be read: {error.strerror}") from error
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line)
+            index, length = int(row["episode_index"]), int(row["length"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise FormatError(f"{file}: line {number}: {error}") from error
+        place = {
+            "episode_chunk": index // int(info.get("chunks_size", 1000)),
+            "episode_index": index,
+        }
+        data = path / str(info["data_path"]).format(**place)
+        yield Rows(index, length, data, (row.get("tasks") or [""])[0])
+
+
+def _motion(
+    path: Path,
+    info: Json,
+    rows: Rows,
+    table: pa.Table,
+    columns: Sequence[str],
+    names: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> Motion:
+    mine = np.flatnonzero(table.column("episode_index").to_numpy() == rows.episode)
+    place = f"episode {rows.episode}"
+    if len(mine) != rows.length:
+        raise FormatError(
+            f"{rows.file}: {place}: expected {rows.length} rows as meta says, got {len(mine)}"
+        )
+    frames = table.column("frame_index").to_numpy()[mine]
+    if (frames != np.arange(len(mine))).any():
+        at = int(np.flatnonzero(frames != np.arange(len(mine)))[0])
+        raise FormatError(f"{rows.file}: {place}: expected frame {at}, got {frames[at]}")
+    stamps, clock = _stamps(table.column("timestamp").to_numpy()[mine], info["fps"])
+    values = [_matrix(table.column(name), len(names), rows.file)[mine] for name in columns]
+    return Motion(
+        path,
+        "lerobot",
+        place,
+        names,
+        stamps,
+        values[0],
+        action=values[1] if len(values) > 1 else None,
+        task=rows.task,
+        clock=clock,
+        where={
+            "version": info["codebase_version"],
+            "episode": rows.episode,
+            "state": columns[0],
+            "action": columns[1] if len(columns) > 1 else "",
+            "robot_type": info.get("robot_type", ""),
+        },
+        notes=notes,
+    )
+
+
+def _stamps(given: Array, fps: float) -> tuple[Array, str]:
+    """Frame numbers over fps where the float32 stamps say so, else the stamps themselves [ns]."""
+    even = np.arange(len(given)) / fps
+    if len(given) and np.abs(given - given[0] - even).max() < TOLERANCE:
+        return np.rint(even * NS).astype(np.int64), "frame number over fps"
+    return np.rint(given.astype(np.float64) * NS).astype(np.int64), "timestamp"
+
+
+def _matrix(column: pa.ChunkedArray, width: int, file: Path) -> Array:
+    """A column of lists of one length as (n, width)."""
+    flat = column.combine_chunks()
+    if isinstance(flat, pa.ChunkedArray):
+        flat = flat.chunk(0) if flat.num_chunks else pa.array([], column.type)
+    if not (pa.types.is_list(flat.type) or pa.types.is_fixed_size_list(flat.type)):
+        return np.asarray(flat.to_numpy(zero_copy_only=False), np.float64).reshape(-1, 1)
+    values = flat.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
+    if len(values) != len(flat) * width:
+        raise FormatError(
+            f"{file}: expected {width} numbers a row, got {len(values)} in {len(flat)}"
+        )
+    return np.asarray(values.reshape(-1, width))
+
+
+def _table(file: Path, columns: Sequence[str]) -> pa.Table:
+    """Some columns of a Parquet file; of rows, the indexes too."""
+    indexes = () if "tasks" in columns else ("timestamp", "frame_index", "episode_index")
+    try:
+        return pq.read_table(file, columns=[*columns, *indexes])
+    except FileNotFoundError as error:
+        raise FormatError(
+            f"{file}: missing, though the set's metadata names it; download the whole set first, nothing is fetched from here"
+        ) from error
+    except (pa.ArrowException, OSError, KeyError) as error:
+        raise FormatError(f"{file}: {str(error).splitlines()[0]}") from error
+
+
+def _names(feature: Any) -> tuple[str, ...]:
+    """LeRobot's `names` as a flat list, whichever of its shapes they have."""
+    names = feature.get("names")
+    while isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if isinstance(names, list) and names and isinstance(names[0], list):
+        names = names[0]
+    width = feature.get("shape", [0])[0]
+    return tuple(map(str, names)) if isinstance(names, list) and len(names) == width else ()
+
+
+def _videos(info: Json) -> tuple[str, ...]:
+    videos = [name for name, each in info["features"].items() if each.get("dtype") == "video"]
+    return (f"videos stay in the source: {', '.join(videos)}",) if videos else ()

@@ -1,0 +1,156 @@
+"""MCAP of any program in: joint positions in JSON or protobuf messages, their fields named.
+
+A field is a path of names, `state.joints.position`; on its way through a list it gathers from every
+entry, so that both `{"name": […], "position": […]}` and `{"joints": [{"name": …, "position": …}]}`
+can be said.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from coordlog.errors import ConfigError, FormatError
+from coordlog.exchange.motion import Motion
+
+ENCODINGS = ("json", "protobuf")
+GUESSES = (("name", "position"), ("names", "positions"), ("joints.name", "joints.position"))
+"""Fields of names and positions that are tried where none are said."""
+
+
+def motions(
+    path: Path, *, topic: str = "", names: str = "", position: str = "", fixed: tuple[str, ...] = ()
+) -> Iterator[Motion]:
+    """The joint motion on one topic of an MCAP file, stamped with its log times.
+
+    Args:
+        path: The file.
+        topic: Topic to read; "" for the only one that fits.
+        names: Field of the joints' names.
+        position: Field of their positions.
+        fixed: Names of the joints, for messages without any.
+
+    Raises:
+        FormatError: if the file is damaged or a message does not have these fields.
+        ConfigError: if the topic or a field must be named and is not.
+    """
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    known: tuple[str, ...] = fixed
+    with path.open("rb") as stream:
+        try:
+            reader = make_reader(stream, validate_crcs=True)
+            chosen = _topic(path, reader, topic)
+            decoders: dict[int, Callable[[bytes], Any]] = {}
+            fields = (names, position)
+            for schema, channel, message in reader.iter_messages(topics=chosen):
+                if channel.id not in decoders:
+                    decoders[channel.id] = _decoder(path, schema, channel.message_encoding)
+                value = decoders[channel.id](message.data)
+                where = f"{path}: {chosen}: message {len(rows)}"
+                if not fields[1]:
+                    fields = _guess(where, value, fixed)
+                own = fixed or tuple(map(str, _list(where, value, fields[0])))
+                numbers = _list(where, value, fields[1])
+                known = known or own
+                if sorted(own) != sorted(known) or len(numbers) != len(own):
+                    raise FormatError(
+                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of {', '.join(own)}"
+                    )
+                found = dict(zip(own, numbers, strict=True))
+                rows.append([float(found[name]) for name in known])
+                stamps.append(message.log_time)
+        except (McapError, OSError, EOFError) as error:
+            raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"{path}: message {len(rows)}: {error}") from error
+    yield Motion(
+        path,
+        "mcap",
+        chosen,
+        known,
+        np.array(stamps, np.int64),
+        np.array(rows, np.float64).reshape(len(rows), len(known)),
+        clock="log time",
+        where={"topic": chosen, "names": fields[0], "position": fields[1]},
+    )
+
+
+def is_ros2(path: Path) -> bool:
+    """Whether the messages of an MCAP file are CDR, which rosbags reads."""
+    try:
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+    except (McapError, OSError, EOFError) as error:
+        raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
+    kinds = (
+        {channel.message_encoding for channel in summary.channels.values()} if summary else set()
+    )
+    return not kinds & set(ENCODINGS)
+
+
+def _topic(path: Path, reader: Any, topic: str) -> str:
+    summary = reader.get_summary()
+    channels = summary.channels.values() if summary else ()
+    usable = sorted({item.topic for item in channels if item.message_encoding in ENCODINGS})
+    if topic and topic not in usable:
+        raise ConfigError(
+            f"{path}: no JSON or protobuf topic '{topic}'; it has {', '.join(usable)}"
+        )
+    if not topic and len(usable) != 1:
+        raise ConfigError(
+            f"{path}: choose one with --topic: {', '.join(usable) or 'there is none'}"
+        )
+    return topic or usable[0]
+
+
+def _decoder(path: Path, schema: Any, encoding: str) -> Callable[[bytes], Any]:
+    if encoding == "json":
+        return lambda data: json.loads(data)
+    from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return lambda data: json_format.MessageToDict(
+        kind.FromString(data),
+        preserving_proto_field_name=True,
+        always_print_fields_with_no_presence=True,
+    )
+
+
+def _guess(where: str, value: Any, fixed: tuple[str, ...]) -> tuple[str, str]:
+    for names, position in GUESSES:
+        if _gather(value, position) and (fixed or _gather(value, names)):
+            return names, position
+    had = ", ".join(value) if isinstance(value, dict) else type(value).__name__
+    raise ConfigError(
+        f"{where}: name the fields with --names-field and --position-field; the message has {had}"
+    )
+
+
+def _list(where: str, value: Any, field: str) -> list[Any]:
+    found = _gather(value, field)
+    if not found:
+        raise FormatError(f"{where}: expected a list in '{field}', got nothing")
+    return found
+
+
+def _gather(value: Any, field: str) -> list[Any]:
+    found = [value]
+    for name in field.split("."):
+        inner: list[Any] = []
+        for each in found:
+            for item in each if isinstance(each, list) else [each]:
+                if isinstance(item, dict) and name in item:
+                    inner.append(item[name])
+        found = inner
+    return found[0] if len(found) == 1 and isinstance(found[0], list) else found

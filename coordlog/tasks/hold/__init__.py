@@ -1,0 +1,1 @@
+"""Keep every palm on a goal that moves slowly."""
