@@ -17,9 +17,9 @@ from coordlog.episode import Array, Episode
 from coordlog.path import Path
 from coordlog.sim.replay import Log, task_of
 from coordlog.sim.tracking import Drive, Run, run, targets, torques
-from coordlog.smooth.ease import grid_for
+from coordlog.smooth.blending import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
-from coordlog.smooth.result import KEPT_RAW, RAW_INFEASIBLE, Result
+from coordlog.smooth.result import FALLBACK, RAW_INFEASIBLE, Result
 
 DEEPER = 1e-4
 """Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the
@@ -79,7 +79,7 @@ def execute(log: Log, result: Result, episode: Episode) -> Execution:
     task, wanted = task_of(log), targets(log)
     period = task.config.control_period
     raw = Torques.of(logged_torques(log, episode, wanted), period)
-    if result.status == KEPT_RAW or not result.lam.any():
+    if result.status == FALLBACK or not result.lam.any():
         return Execution(result.status, result.reason, None, raw, None, 0.0)
     angles = episode.qpos[:, task.qpos_index]
     ran = follow(log, result, angles, wanted=wanted, arrives=episode.result.success)
@@ -88,7 +88,7 @@ def execute(log: Log, result: Result, episode: Episode) -> Execution:
     failure = worse(ran, episode)
     if not failure:
         return Execution(result.status, result.reason, ran, raw, smoothed, away)
-    status = RAW_INFEASIBLE if result.status == RAW_INFEASIBLE else KEPT_RAW
+    status = RAW_INFEASIBLE if result.status == RAW_INFEASIBLE else FALLBACK
     return Execution(status, f"the smoothed path, executed, {failure}", None, raw, smoothed, away)
 
 
@@ -116,7 +116,7 @@ def follow(
     Args:
         log: The episode it was smoothed from.
         result: The path.
-        angles: Raw angles of the action joints, (T + 1, n_u) [rad].
+        angles: Reference angles of the action joints, (T + 1, n_u) [rad].
         arrives: Whether the raw run ended at its goal.
         wanted: Servo targets of the raw run, (T + 1, n_u), if they are known already; their lead
             over the angles is kept.
@@ -181,7 +181,7 @@ def _lead(result: Result, time: Array, ahead: Array) -> Path:
     knots = result.knots
     at_knots = np.stack([np.interp(knots.time, time, column) for column in ahead.T], axis=1)
     ends = np.zeros((2, ahead.shape[1])) if result.config.clamped else None
-    return grid_for(knots.time, result.config, ease=result.ease).fit_each(
+    return grid_for(knots.time, result.config, blend=result.blend).fit_each(
         at_knots, lam=result.lam, weight=result.weight, velocity=ends
     )
 

@@ -17,8 +17,8 @@ import numpy as np
 from coordlog.episode import INITIAL_STATE, Array, Episode, Json
 from coordlog.kinematics.clearance import NEAR, SceneChecker
 from coordlog.sim.replay import Log, task_of
+from coordlog.smooth.blending import grid_for
 from coordlog.smooth.config import Config
-from coordlog.smooth.ease import grid_for
 from coordlog.smooth.execute import Execution, execute
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.metrics import PathLoad
@@ -87,7 +87,7 @@ def smooth_episode(recorded: Recorded, settings: Json) -> tuple[Episode, Json]:
         task.limits[:, 0],
         task.limits[:, 1],
         speed=FASTER * np.maximum(task.speeds, fastest),
-        pace=task.speeds,
+        nominal_speed=task.speeds,
     )
     # The checker is one by its methods: kinematics knows nothing of smoothing.
     result = smooth(
@@ -157,7 +157,7 @@ def _parameters(
     length = len(raw) if ran is None else len(ran.columns["action"])
     before, after = (
         PathLoad.of(path, checker.inverse, knots.unit)._asdict()
-        for path in (result.raw, result.spline)
+        for path in (result.reference, result.spline)
     )
     margin = {"before": _number(before.pop("balance")), "after": _number(after.pop("balance"))}
     torques = {

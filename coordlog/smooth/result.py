@@ -21,7 +21,7 @@ PARTLY = "partly"
 """Proven free of collision, but not all that was asked for could be had: clearance, speed or
 acceleration that the log lacks too, or a joint that had to stay as in the log. The reason names
 it."""
-KEPT_RAW = "kept_raw"
+FALLBACK = "kept_raw"
 """Nothing smoother could be proven: the path is the log's."""
 RAW_INFEASIBLE = "raw_infeasible"
 """The log itself breaks a rule, and so does the path, smoothed or not: the same rule, about then,
@@ -59,25 +59,30 @@ class Violation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A smoothed path, or the raw one and the reason."""
+    """A smoothed path, or the log's own interpolant and the reason.
+
+    Example:
+        >>> result = smooth(time, q, checker)  # doctest: +SKIP
+        >>> result.status, result.spline(0.5), result.deviation  # doctest: +SKIP
+    """
 
     status: str
     """smoothed, partly, kept_raw or raw_infeasible."""
     reason: str
     """One sentence; "" when smoothed."""
     violation: Violation | None
-    """The breach that the reason speaks of."""
+    """The violation that the reason speaks of."""
     certified: bool
     """Proven free between samples too: at the clearance asked, or without touching for the pairs
     that fall short of it."""
     spline: Path
-    raw: Path
+    reference: Path
     """The interpolant of the knots with the same ends, which the figures `before` are of."""
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
     lam: Floats  # (n_j,) s³, 0 for a joint left raw
-    ease: int
-    """Knots over which soft ends are eased."""
+    blend: int
+    """Knots over which soft ends are blended."""
     checks: int
     """Configurations the checker decided on."""
     slacks: int
@@ -98,8 +103,8 @@ class Result:
 
     @cached_property
     def before(self) -> Metrics:
-        """Figures of the raw path."""
-        return measure(self.raw, self.knots)
+        """Figures of the reference: the log's own interpolant."""
+        return measure(self.reference, self.knots)
 
     @cached_property
     def after(self) -> Metrics:

@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from coordlog.smooth.blending import grid_for
+from coordlog.smooth.budget import BudgetSpentError
 from coordlog.smooth.config import Config
-from coordlog.smooth.counted import BudgetSpentError
-from coordlog.smooth.ease import grid_for
 from coordlog.smooth.feasibility import Checker
-from coordlog.smooth.judge import Judge
 from coordlog.smooth.knots import Knots, clean
 from coordlog.smooth.limits import Limits
-from coordlog.smooth.local import local
+from coordlog.smooth.local import local, shared
 from coordlog.smooth.paper import paper
 from coordlog.smooth.problem import Candidate, Problem
 from coordlog.smooth.result import PARTLY, SMOOTHED, Result
-from coordlog.smooth.shared import shared
+from coordlog.smooth.validator import Validator
 from coordlog.smooth.verdict import Labels, verdict
 
 _METHODS = {"local": local, "shared": shared, "paper": paper}
@@ -79,13 +78,13 @@ def smooth(
         violation=violation,
         certified=best.proof.certified,
         spline=best.spline,
-        raw=problem.raw,
+        reference=problem.reference,
         knots=knots,
         weight=best.weight,
         lam=best.lam,
-        ease=best.ease,
-        checks=problem.judge.asked.checks,
-        slacks=problem.judge.asked.slacks,
+        blend=best.blend,
+        checks=problem.validator.queries.checks,
+        slacks=problem.validator.queries.slacks,
         config=config,
         cpu=process_time() - began,
     )
@@ -94,9 +93,14 @@ def smooth(
 def _problem(knots: Knots, checker: Checker, limits: Limits, config: Config) -> Problem:
     grid = grid_for(knots.time, config)
     velocity = np.zeros((2, knots.position.shape[1])) if config.clamped else None
-    raw = grid.fit(knots.position, lam=0.0, weight=knots.weight, velocity=velocity)
+    reference = grid.fit(knots.position, lam=0.0, weight=knots.weight, velocity=velocity)
     return Problem(
-        knots, raw, grid, velocity, Judge(checker, knots, raw, limits=limits, config=config), config
+        knots,
+        reference,
+        grid,
+        velocity,
+        Validator(checker, knots, reference, limits=limits, config=config),
+        config,
     )
 
 
@@ -105,8 +109,8 @@ def _search(problem: Problem) -> tuple[Candidate | None, bool]:
 
     And whether the budget ran out.
     """
-    best, asked = None, problem.judge.asked
-    asked.budget = problem.config.budget
+    best, queries = None, problem.validator.queries
+    queries.budget = problem.config.budget
     try:
         for best in _METHODS[problem.config.method](problem):  # noqa: B007  the last one is wanted
             pass
@@ -114,4 +118,4 @@ def _search(problem: Problem) -> tuple[Candidate | None, bool]:
     except BudgetSpentError:
         return best, True
     finally:
-        asked.budget = None  # the verdict is owed in any case
+        queries.budget = None  # the verdict is owed in any case

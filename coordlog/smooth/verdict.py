@@ -9,9 +9,9 @@ import numpy as np
 
 from coordlog.errors import SpecError
 from coordlog.path import Path
-from coordlog.smooth.breach import Breaches, Kind
 from coordlog.smooth.problem import Candidate, Problem
-from coordlog.smooth.result import KEPT_RAW, PARTLY, RAW_INFEASIBLE, SMOOTHED, Violation
+from coordlog.smooth.result import FALLBACK, PARTLY, RAW_INFEASIBLE, SMOOTHED, Violation
+from coordlog.smooth.violations import Kind, Violations
 
 
 class Labels(NamedTuple):
@@ -38,11 +38,11 @@ def verdict(
 ) -> tuple[str, str, Violation | None, Candidate]:
     """Status, reason, violation and the path to return."""
     if best is None:
-        return _kept(problem, spent, labels)
-    excused = best.proof.excused
-    if len(excused):
-        violation = _worst(problem, excused, labels)
-        if _unsafe(problem, best.spline, excused):
+        return _fallback(problem, spent, labels)
+    tolerated = best.proof.tolerated
+    if len(tolerated):
+        violation = _worst(problem, tolerated, labels)
+        if _unsafe(problem, best.spline, tolerated):
             return (
                 RAW_INFEASIBLE,
                 f"the log itself breaks a rule, and so does the path: {violation}",
@@ -55,25 +55,25 @@ def verdict(
             violation,
             best,
         )
-    raw = [name for name, lam in zip(labels.names, best.lam, strict=True) if lam == 0.0]
-    if raw:
+    left = [name for name, lam in zip(labels.names, best.lam, strict=True) if lam == 0.0]
+    if left:
         return (
             PARTLY,
-            f"left as in the log, for nothing smoother was free: {', '.join(raw)}",
+            f"left as in the log, for nothing smoother was free: {', '.join(left)}",
             None,
             best,
         )
     return SMOOTHED, "", None, best
 
 
-def _kept(
+def _fallback(
     problem: Problem, spent: bool, labels: Labels
 ) -> tuple[str, str, Violation | None, Candidate]:
-    """The verdict where no candidate was proven: the raw path, and whether that is free."""
-    raw, n_j = problem.raw, problem.knots.position.shape[1]
-    failed, proof = problem.judge.failed, problem.judge.survey(problem.raw)
-    kept = Candidate(raw, np.zeros(n_j), problem.knots.weight, proof, problem.ease)
-    if len(proof.found) and _unsafe(problem, raw, proof.found):
+    """The verdict where no candidate was proven: the reference, and whether that is free."""
+    reference, n_j = problem.reference, problem.knots.position.shape[1]
+    failed, proof = problem.validator.failed, problem.validator.report(problem.reference)
+    kept = Candidate(reference, np.zeros(n_j), problem.knots.weight, proof, problem.blend)
+    if len(proof.found) and _unsafe(problem, reference, proof.found):
         violation = _worst(problem, proof.found, labels)
         return (
             RAW_INFEASIBLE,
@@ -83,24 +83,24 @@ def _kept(
         )
     if spent:
         return (
-            KEPT_RAW,
+            FALLBACK,
             f"the checker was asked about {problem.config.budget} configurations without a proof",
             None,
             kept,
         )
     failure = _worst(problem, failed if len(failed) else proof.found, labels)
-    return KEPT_RAW, f"no smoother path could be proven: {failure}", failure, kept
+    return FALLBACK, f"no smoother path could be proven: {failure}", failure, kept
 
 
-def _unsafe(problem: Problem, path: Path, found: Breaches) -> bool:
-    return bool((found.kind == Kind.RANGE).any()) or problem.judge.collides(path, found)
+def _unsafe(problem: Problem, path: Path, found: Violations) -> bool:
+    return bool((found.kind == Kind.RANGE).any()) or problem.validator.collides(path, found)
 
 
-def _worst(problem: Problem, found: Breaches, labels: Labels) -> Violation:
-    """The deepest breach of the gravest kind."""
+def _worst(problem: Problem, found: Violations, labels: Labels) -> Violation:
+    """The deepest violation of the gravest kind."""
     i = int(np.lexsort((-found.depth, found.kind))[0])
     kind, what = Kind(int(found.kind[i])), int(found.what[i])
     of_pair = kind in (Kind.CONTACT, Kind.UNPROVEN, Kind.MOTION)
-    text = problem.judge.asked.describe(what) if of_pair else labels.names[what]
+    text = problem.validator.queries.describe(what) if of_pair else labels.names[what]
     unit = "m" if of_pair else labels.units[what]
     return Violation(kind.name.lower(), float(found.time[i]), text, float(found.depth[i]), unit)

@@ -230,7 +230,7 @@ def limits_of(bench):
         bench.task.limits[:, 0],
         bench.task.limits[:, 1],
         speed=FASTER * np.maximum(bench.task.speeds, fastest),
-        pace=bench.task.speeds,
+        nominal_speed=bench.task.speeds,
     )
 
 
@@ -271,7 +271,7 @@ def measure(bench, *, with_peers, with_plain):
             "found": result.status,
             "certified": result.certified,
             "checks": result.checks + result.slacks,
-            "ease": result.ease,
+            "ease": result.blend,
         }
     like = results["local, 5 mm"]
     scene = peers.PlainScene(
