@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coordlog.errors import ConfigError, SpecError, unknown
+from coordlog.errors import ConfigError, FormatError, SpecError, unknown
 
 if TYPE_CHECKING:
     from coordlog.contracts import Policy
     from coordlog.episode import Json
+    from coordlog.policies.learned import Origin
+    from coordlog.policies.learned import Policy as Trained
     from coordlog.sim.env import BatchEnv
 
 SUFFIX = ".safetensors"
@@ -23,8 +25,9 @@ SHIPPED = Path(__file__).parents[1] / "policies"
 SCENE-KIND where several do.
 """
 KINDS = ("live",)
-"""What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps."""
-ENDS = tuple(f"-{kind}" for kind in KINDS)
+"""What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps. Where
+the policy that ships for a scene is of the kind anyway, it is that one.
+"""
 SHIELD = "velocity damper"
 """What the `coordlog.policy` record calls the shield."""
 
@@ -35,17 +38,27 @@ def pretrained(scene: str, kind: str = "") -> Path:
     Raises:
         ConfigError: if none does.
     """
-    end = f"-{kind}" if kind else ""
-    file = SHIPPED / f"{scene}{end}{SUFFIX}"
-    if not file.is_file():
-        stems = sorted(path.stem for path in SHIPPED.glob(f"*{end}{SUFFIX}"))
-        others = [stem.removesuffix(end) for stem in stems if kind or not stem.endswith(ENDS)]
-        names = ", ".join(others) or "none"
+    found = {}
+    for path in sorted(SHIPPED.glob("*.json")):
+        file = path.with_suffix(SUFFIX)
+        said = card(file)
+        if said.get("kind", "") == kind:
+            found[said["scene"]] = file
+        elif kind == said["training"]["mode"] and not said.get("kind"):
+            found.setdefault(said["scene"], file)
+    if scene not in found:
+        what = f"no {kind} policy" if kind else "no policy"
         raise ConfigError(
-            f"no {kind + ' ' if kind else ''}policy ships for scene '{scene}'; one does for: {names}; "
+            f"{what} ships for scene '{scene}'; one does for: {', '.join(found) or 'none'}; "
             "others come from `coordlog train`"
         )
-    return file
+    return found[scene]
+
+
+def card(file: Path) -> Json:
+    """What the card beside a shipped policy says."""
+    said: Json = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+    return said
 
 
 def shipped_kind(name: str) -> str | None:
@@ -102,9 +115,18 @@ def about(file: Path) -> Json:
     Raises:
         FormatError: if it is no policy file.
     """
-    from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.learned import Policy as Network
 
-    return Trained.load(file).about
+    trained = Network.load(file)
+    scene, env = _origin(file, trained)
+    return trained.about | {"scene": scene, "env": env}
+
+
+def _origin(file: Path, trained: Trained) -> Origin:
+    try:
+        return trained.origin()
+    except FormatError as error:
+        raise FormatError(f"{file}: {error}") from None
 
 
 def wants_shield(name: str, scene: str) -> bool:
@@ -114,8 +136,7 @@ def wants_shield(name: str, scene: str) -> bool:
     kind = shipped_kind(name)
     if kind is None:
         return False
-    card = pretrained(scene, kind).with_suffix(".json")
-    return bool(json.loads(card.read_text(encoding="utf-8"))["shield"])
+    return bool(card(pretrained(scene, kind))["shield"])
 
 
 def make_policy(
@@ -142,19 +163,24 @@ def make_policy(
 
 
 def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
-    from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.learned import Policy as Network
     from coordlog.policies.scripted import scripted
     from coordlog.record.cache import file_digest
 
     file = policy_file(name, env.scene.name)
     if file is None:
         return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
-    trained = Trained.load(file)
-    here = env.describe()
+    trained = Network.load(file)
+    here, (scene, there) = env.describe(), _origin(file, trained)
     for key in ("state", "action_joints"):
-        if trained.about["env"][key] != here[key]:
+        if there[key] != here[key]:
             raise SpecError(
-                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{trained.about['scene']}'"
+                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{scene}'"
             )
+    if (trained.n_x, trained.n_u) != (len(here["state"]), len(here["action_joints"])):
+        raise SpecError(
+            f"{file}: expected a network of {len(here['state'])} states and"
+            f" {len(here['action_joints'])} actions, got {trained.n_x} and {trained.n_u}"
+        )
     said = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
     return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": file_digest(file)}

@@ -108,7 +108,12 @@ def smooth(
         )
         raise typer.Exit(EXIT_INTERRUPTED)
     kept = [row for row in rows if row["parameters"].get("steps_of", "log") == "log"]
-    if batch.parts or kept or any(row["status"] == SKIPPED for row in rows):
+    if (
+        batch.files.parts
+        or batch.files.skipped
+        or kept
+        or any(row["status"] == SKIPPED for row in rows)
+    ):
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -179,5 +184,7 @@ def _name_reasons(summary: Json) -> None:
         terminal.note(f"{row['status']}: {source}{row['reason']}")
     if len(named) > SAID:
         terminal.note(f"{len(named) - SAID} more; --report FILE has them all")
+    for reason in summary["skipped"]:
+        terminal.note(f"skipped: {reason}")
     for name in summary["unfinished"]:
         terminal.note(f"unfinished: {name}; `coordlog recover` makes an episode of it")

@@ -7,10 +7,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from coordlog.episode import Array
+from coordlog.episode import Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.levers import FREE, HINGE, SLIDE
 from coordlog.robots.robot import Robot
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Logged:
@@ -80,3 +82,17 @@ def speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:
         # A straight line between quaternions turns fastest in its middle.
         turned[:, joint] = 4.0 * np.tan(half / 2.0)
     return np.asarray(np.column_stack([turned, *shifted]) / np.diff(time)[:, None])
+
+
+def require_fit(model: mujoco.MjModel, initial: Array, episode: Episode) -> None:
+    """Refuse a model and a first state that are not an episode's.
+
+    Raises:
+        FormatError: if a length differs.
+    """
+    wanted = mujoco.mj_stateSize(model, STATE)
+    if initial.shape != (wanted,) or model.nq != episode.qpos.shape[1]:
+        raise FormatError(
+            f"attached model and state: expected {wanted} numbers and "
+            f"nq = {episode.qpos.shape[1]}, got {initial.size}, {model.nq}"
+        )

@@ -9,7 +9,7 @@ no action joint moves against one another are the log's business and not looked 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import NamedTuple
 
@@ -17,19 +17,18 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
-from coordlog.errors import FormatError
-from coordlog.kinematics.base_motion import Logged, speeds
+from coordlog.episode import INITIAL_STATE, Array, Episode
+from coordlog.kinematics.base_motion import STATE, Logged, require_fit, speeds
+from coordlog.kinematics.geometry import geom_label
 from coordlog.kinematics.inverse_dynamics import Inverse
 from coordlog.kinematics.levers import HINGE, SLIDE, strokes
 from coordlog.kinematics.motion_bounds import bounds
 from coordlog.kinematics.pairs import distance_bounds, overestimate
 from coordlog.kinematics.support import FALLING, Footing
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 NEAR = 0.08
 """Distances up to this are measured [m].
 
@@ -70,6 +69,7 @@ class SceneChecker:
         time: Array,
         qpos: Array,
         initial: Array,
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Find the pairs and their bounds.
 
@@ -80,6 +80,7 @@ class SceneChecker:
             time: Times of the logged configurations, (T,), T ≥ 2, increasing [s].
             qpos: The logged configurations (T, n_q).
             initial: mjSTATE_INTEGRATION vector whose goals and obstacles hold throughout.
+            resting: Pairs of geoms that lie against one another by design, and are not looked at.
 
         Raises:
             FormatError: if the model lacks what the robot names.
@@ -92,7 +93,7 @@ class SceneChecker:
         self._corners = self._footing.corners
         ways = strokes(model, qpos)
         soles = [model.geom(name).id for name in robot.soles]
-        found = bounds(model, self._joints, self._corners, soles=soles, ways=ways)
+        found = bounds(model, self._joints, self._corners, soles=soles, ways=ways, resting=resting)
         self._keep, self._index, self._mass = found.keep, found.place, found.mass
         self.pairs = found.pairs
         """Geom ids of the pairs that are looked at, (P', 2).
@@ -138,28 +139,20 @@ class SceneChecker:
         Raises:
             FormatError: if the model or the first state is missing, damaged, or not the episode's.
         """
-        model = cls.model_of(episode, attachments)
-        initial = np.frombuffer(attachments[INITIAL_STATE], dtype="<f8")
+        model = load_attached(attachments)
+        initial = np.frombuffer(attachments.get(INITIAL_STATE, b""), dtype="<f8")
+        require_fit(model, initial, episode)
         robot = Robot.from_json(episode.header.env["robot"])
         config = build(EnvConfig, episode.header.env["config"])
-        return cls(model, robot, config, time=episode.time, qpos=episode.qpos, initial=initial)
-
-    @staticmethod
-    def model_of(episode: Episode, attachments: Mapping[str, bytes]) -> mujoco.MjModel:
-        """Compile the model of a recorded episode.
-
-        Raises:
-            FormatError: if the model or the first state is missing, damaged, or not the episode's.
-        """
-        model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
-        initial = np.frombuffer(attachments.get(INITIAL_STATE, b""), dtype="<f8")
-        wanted = mujoco.mj_stateSize(model, STATE)
-        if initial.shape != (wanted,) or model.nq != episode.qpos.shape[1]:
-            raise FormatError(
-                f"attached model and state: expected {wanted} numbers and "
-                f"nq = {episode.qpos.shape[1]}, got {initial.size}, {model.nq}"
-            )
-        return model
+        return cls(
+            model,
+            robot,
+            config,
+            time=episode.time,
+            qpos=episode.qpos,
+            initial=initial,
+            resting=[(one, other) for one, other in episode.header.env.get("resting", [])],
+        )
 
     def check(self, time: Array, q: Array, clearance: float) -> Verdict:
         """Judge n configurations of the action joints, q (n, n_u) [rad] at `time` (n,) [s].
@@ -241,38 +234,40 @@ class SceneChecker:
     def nearest(self, time: Array, q: Array) -> float:
         """Least distance of any pair that keeps a clearance, over n configurations [m].
 
-        No more than NEAR. The engine lists what is nearer than the least distance found so far.
+        No more than NEAR. A pair is measured again only once the motion may have brought it nearer
+        than the least distance found so far.
+
+        Args:
+            time: Times, (n,), increasing [s].
+            q: Configurations of the action joints, (n, n_u).
         """
         model, data, least = self._model, self._data, NEAR
-        for row in self._logged.whole(time, q):
-            data.qpos[:] = row
-            self._set_margin(least)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            if data.ncon:
-                contact = data.contact
-                pair = self._index[contact.geom[:, 0], contact.geom[:, 1]]
-                counts = (pair >= 0) & self._keep[pair]
-                least = min(least, float(contact.dist[counts].min(initial=least)))
+        pairs = np.flatnonzero(self._keep)
+        step = np.diff(time)[:, None] * self.drift(time[:-1], time[1:])[:, pairs]
+        loss = np.abs(np.diff(q, axis=0)) @ self.reach[pairs].T + step
+        bound = np.full(len(pairs), -np.inf)
+        for i, row in enumerate(self._logged.whole(time, q)):
+            bound = bound - loss[i - 1] if i else bound
+            near = np.flatnonzero(bound < least).tolist()
+            if near:
+                data.qpos[:] = row
+                mujoco.mj_kinematics(model, data)
+            for k in near:
+                first, second = self.pairs[pairs[k]].tolist()
+                bound[k] = mujoco.mj_geomDistance(model, data, first, second, 2.0 * NEAR, None)
+                least = min(least, float(bound[k]))
         return least
 
     def describe(self, what: int) -> str:
         """Name a pair."""
         if what < len(self.pairs):
-            first, second = (self._name(int(geom)) for geom in self.pairs[what])
+            first, second = (geom_label(self._model, int(geom)) for geom in self.pairs[what])
             return f"{first} and {second}"
         if what == len(self.reach):
             return "the zero-moment point and the edge of its support"
         if self._corners and what == len(self.pairs):
             return "the centre of mass and the edge of its support"
         return "a slide and the end of its way"
-
-    def _name(self, geom: int) -> str:
-        name = self._model.geom(geom).name
-        if name:
-            return str(name)
-        body = self._model.body(int(self._model.geom_bodyid[geom])).name
-        return f"a geom of {body or 'an unnamed body'}"
 
     def _way_left(self, q: Array) -> Array:
         """Metres that a slide has left to either end of its way, the least of all, (n,)."""

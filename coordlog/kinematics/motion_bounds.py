@@ -91,6 +91,7 @@ def bounds(
     corners: list[int],
     *,
     soles: Sequence[int] = (),
+    resting: Sequence[tuple[int, int]] = (),
     ways: Array | None = None,
 ) -> Bounds:
     """Pairs of geoms that joints move apart, and bounds on how fast.
@@ -100,10 +101,12 @@ def bounds(
         joints: Ids of the joints that a path moves.
         corners: Ids of the sites at the corners of the soles.
         soles: Ids of the geoms that may touch the ground.
+        resting: Pairs of geoms that lie against one another, and are left out.
         ways: As from `levers.strokes`; by default, of the model alone.
     """
     ways = strokes(model) if ways is None else ways
-    return _bounds(_Kinematics(model, ways), tuple(joints), tuple(corners), tuple(soles))
+    others = (tuple(soles), tuple(resting))
+    return _bounds(_Kinematics(model, ways), tuple(joints), tuple(corners), others)
 
 
 @lru_cache(maxsize=MODELS)
@@ -111,13 +114,13 @@ def _bounds(
     kinematics: _Kinematics,
     joints: tuple[int, ...],
     corners: tuple[int, ...],
-    soles: tuple[int, ...],
+    others: tuple[tuple[int, ...], tuple[tuple[int, int], ...]],
 ) -> Bounds:
     model = kinematics.model
     levers = Levers(model, kinematics.ways)
     mass = model.body_mass * (model.body_rootid == model.body_rootid[model.jnt_bodyid[joints[0]]])
     mass = mass / mass.sum()
-    pairs = contact_pairs(model, levers, set(joints), soles)
+    pairs = contact_pairs(model, levers, set(joints), *others)
     index = np.full((model.ngeom, model.ngeom), -1)
     index[pairs[:, 0], pairs[:, 1]] = index[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
     moves, reach = moved(model, levers)

@@ -21,12 +21,17 @@ _GROUND = [mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD]
 
 
 def contact_pairs(
-    model: mujoco.MjModel, levers: Levers, joints: set[int], soles: Sequence[int] = ()
+    model: mujoco.MjModel,
+    levers: Levers,
+    joints: set[int],
+    soles: Sequence[int] = (),
+    resting: Sequence[tuple[int, int]] = (),
 ) -> Array:
     """Pairs of geoms that MuJoCo lets collide and a joint among `joints` moves apart, (P', 2).
 
     A pair that the model lists for itself counts whatever its masks are. Soles may stand on the
-    ground: on planes and height fields of the world.
+    ground: on planes and height fields of the world; `resting` pairs lie against one another by
+    design.
     """
     first, second = np.triu_indices(model.ngeom, k=1)
     masks = (model.geom_contype[first] & model.geom_conaffinity[second]) | (
@@ -45,6 +50,10 @@ def contact_pairs(
     ground = np.isin(model.geom_type, _GROUND) & (model.geom_bodyid == 0)
     foot = np.isin(np.arange(model.ngeom), list(soles))
     stands = (foot[first] & ground[second]) | (ground[first] & foot[second])
+    rests = np.isin(
+        first * model.ngeom + second,
+        [min(pair) * model.ngeom + max(pair) for pair in resting],
+    )
     driven = np.array(
         [
             [joint in levers.above(int(body)) for joint in sorted(joints)]
@@ -52,7 +61,7 @@ def contact_pairs(
         ]
     )
     apart = (driven[first] != driven[second]).any(axis=1)
-    keep = (((masks > 0) & ~kin & ~excluded) | listed) & apart & ~stands
+    keep = (((masks > 0) & ~kin & ~excluded) | listed) & apart & ~(stands | rests)
     return np.stack([first[keep], second[keep]], axis=1)
 
 

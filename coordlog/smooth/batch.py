@@ -5,7 +5,6 @@ Outputs that are there and would be made the same again are left alone; inputs a
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 import os
 import signal
@@ -21,6 +20,8 @@ from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.episode import Episode, Json
+    from coordlog.record.files import Files
+    from coordlog.record.recording import Recording
 
 TRANSFORM = "smooth"
 SKIPPED = "skipped"
@@ -43,8 +44,8 @@ class Batch(NamedTuple):
     """What there is to do."""
 
     jobs: list[Job]
-    parts: tuple[Path, ...]
-    """Files that no writer has finished: no episodes yet."""
+    files: Files
+    """What else was found: parts that no writer has finished, and what could not be read."""
 
     def run(self, *, processes: int = 0) -> Iterator[Json]:
         """Rows of the report (see `smooth_file`), in the order of the jobs.
@@ -71,18 +72,26 @@ def plan(
         ConfigError: if an option is unknown or out of range, an output could come to lie among the
             inputs, or two inputs would give one output.
         StorageError: if a path does not exist.
+        SpecError: if there is no episode.
+        FormatError: if the only file is none.
     """
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import Files, find_files, nothing_found
+    from coordlog.record.reader import probe
     from coordlog.smooth.config import Config
 
     Config.of(**settings)
     folders = sum(path.is_dir() for path in paths)
     work: dict[Path, Job] = {}
-    parts: tuple[Path, ...] = ()
+    files = Files((), (), (), ())
     for path in paths:
         _require_apart(path, out)
         found = find_files(path)
-        parts += found.parts
+        files = Files(
+            (),
+            files.parts + found.parts,
+            files.skipped + found.skipped,
+            files.others + found.others,
+        )
         for source in found.paths:
             below = source.relative_to(path) if path.is_dir() else Path(source.name)
             inside = folders > 1 and path.is_dir()
@@ -93,10 +102,11 @@ def plan(
                     "smooth them into separate folders"
                 )
             work[target] = Job(source, target, settings, write, force)
-    if not work and not parts:
-        where = ", ".join(map(str, paths))
-        raise StorageError(f"{where}: no episodes (.mcap) there; nothing to smooth")
-    return Batch(list(work.values()), parts)
+    if not work:
+        raise nothing_found(paths, files)
+    if len(paths) == 1 and paths[0].is_file():
+        probe(paths[0])
+    return Batch(list(work.values()), files)
 
 
 def _require_apart(path: Path, out: Path) -> None:
@@ -146,26 +156,21 @@ def smooth_file(job: Job) -> Json:
 
 def _smoothed(job: Job) -> tuple[Json, bool]:
     """Parameters of the lineage, and whether the output was there already."""
-    from coordlog.record.opening import load, naming
-    from coordlog.record.reader import attachments_of, contents, decode
-    from coordlog.smooth.recorded import Recorded, smooth_episode
+    from coordlog.record.recording import Recording
+    from coordlog.smooth.recorded import smooth_episode
 
-    data = load(job.source)
-    digest = hashlib.sha256(data).hexdigest()
-    before = _made_before(job, digest)
+    recording = Recording(job.source)
+    before = _made_before(job, recording.digest)
     if before is not None:
         return before, True
-    with naming(job.source):
-        episode, attachments = decode(contents(data)), attachments_of(data)
-    if episode.result.aborted:
+    if recording.result.aborted:
         raise StorageError(
             f"{job.source}: expected an episode that ended, got an aborted one "
-            f"({episode.result.aborted}); nothing to smooth"
+            f"({recording.result.aborted}); nothing to smooth"
         )
-    recorded = Recorded.of(episode, attachments, digest)
-    smoothed, parameters = smooth_episode(recorded, job.settings)
+    smoothed, parameters = smooth_episode(recording, job.settings)
     if job.write:
-        _write(job, smoothed, attachments)
+        _write(job, smoothed, recording)
     return parameters, False
 
 
@@ -201,17 +206,21 @@ def _made_before(job: Job, digest: str) -> Json | None:
     )
 
 
-def _write(job: Job, episode: Episode, attachments: dict[str, bytes]) -> None:
+def _write(job: Job, episode: Episode, recording: Recording) -> None:
     """Write the output; a part file that a killed run left is removed first."""
+    from coordlog.record.display import Shown
     from coordlog.record.storage import PART
     from coordlog.record.writer import write_episode
+    from coordlog.sim.description import Description
 
+    attached, state = recording.attachments, recording.initial_state
+    shown = Shown(Description(recording.model), state)
     try:
         job.target.parent.mkdir(parents=True, exist_ok=True)
         exists = job.target.exists()
         beside = job.target.with_name(f"new-{job.target.name}") if exists else job.target
         beside.with_name(beside.name + PART).unlink(missing_ok=True)
-        write_episode(beside, episode, attachments=attachments, display=True)
+        write_episode(beside, episode, attachments=attached, display=True, shown=shown)
         if beside != job.target:
             os.replace(beside, job.target)
     except OSError as error:
@@ -246,7 +255,8 @@ def summary(rows: list[Json], batch: Batch, settings: Json, *, seconds: float) -
         "cpu": sum(row["cpu"] for row in rows),
         "seconds": seconds,
         "rows": rows,
-        "unfinished": [str(part) for part in batch.parts],
+        "unfinished": [str(part) for part in batch.files.parts],
+        "skipped": [f"{item.path}: {item.reason}" for item in batch.files.skipped],
     }
 
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, Array, Episode, Json
+from coordlog.episode import Array, Episode, Json
+from coordlog.kinematics.base_motion import require_fit
 from coordlog.kinematics.clearance import NEAR, SceneChecker
-from coordlog.sim.replay import Log, task_of
+from coordlog.record.recording import Recording
+from coordlog.sim.replay import Log, resting_of, task_of
 from coordlog.smooth.blending import grid_for
 from coordlog.smooth.config import Config
 from coordlog.smooth.execute import Execution, execute
@@ -35,42 +36,23 @@ FASTER = 1.02
 interpolant, whichever is faster: what the servos then lack they catch up with."""
 
 
-class Recorded(NamedTuple):
-    """A logged episode with its model compiled, as smoothing needs it."""
-
-    episode: Episode
-    log: Log
-    """Its compiled model, first state and actions."""
-    digest: str
-    """sha256 of its file."""
-
-    @classmethod
-    def of(cls, episode: Episode, attachments: Mapping[str, bytes], digest: str) -> Recorded:
-        """Compile the attached model.
-
-        Raises:
-            FormatError: if the model or the first state is missing, damaged, or not the episode's.
-        """
-        model = SceneChecker.model_of(episode, attachments)
-        start = np.frombuffer(attachments[INITIAL_STATE], dtype="<f8")
-        return cls(episode, Log.of(episode, model, start), digest)
-
-
-def smooth_episode(recorded: Recorded, settings: Json) -> tuple[Episode, Json]:
+def smooth_episode(recording: Recording, settings: Json) -> tuple[Episode, Json]:
     """Smooth a logged episode and execute the path.
 
     Args:
-        recorded: The log.
+        recording: The log.
         settings: Options of `coordlog.smooth.smooth`.
 
     Returns:
         The episode that takes the log's place, and the parameters that its lineage holds.
 
     Raises:
-        FormatError: if the first state does not fit the model.
+        FormatError: if the model or the first state is missing, damaged, or not the episode's.
         SpecError: if the log cannot be smoothed as it is; the message says why.
     """
-    episode, log = recorded.episode, recorded.log
+    episode = recording.episode
+    require_fit(recording.model, recording.initial_state, episode)
+    log = Log.of(episode, recording.model, recording.initial_state)
     task = task_of(log)
     checker = SceneChecker(
         log.model,
@@ -79,6 +61,7 @@ def smooth_episode(recorded: Recorded, settings: Json) -> tuple[Episode, Json]:
         time=episode.time,
         qpos=episode.qpos,
         initial=log.start,
+        resting=resting_of(episode.header),
     )
     angles = episode.qpos[:, task.qpos_index]
     ends = "natural" if settings["method"] == "paper" else "soft"
@@ -103,7 +86,7 @@ def smooth_episode(recorded: Recorded, settings: Json) -> tuple[Episode, Json]:
     )
     execution = execute(log, result, episode)
     parameters = _parameters(episode, result, execution, settings, checker)
-    return _episode(recorded, result, execution, parameters), parameters
+    return _episode(recording, result, execution, parameters), parameters
 
 
 def fastest_of(time: Array, angles: Array, *, ends: str = "soft") -> Array:
@@ -118,9 +101,11 @@ def fastest_of(time: Array, angles: Array, *, ends: str = "soft") -> Array:
     return np.asarray(np.abs(through(samples, 1)).max(axis=0))
 
 
-def _episode(recorded: Recorded, result: Result, execution: Execution, parameters: Json) -> Episode:
+def _episode(
+    recording: Recording, result: Result, execution: Execution, parameters: Json
+) -> Episode:
     """The execution as an episode, or the log's own steps; either way with its lineage."""
-    raw, digest = recorded.episode, recorded.digest
+    raw, digest = recording.episode, recording.digest
     lineage = {"parents": [digest], "transform": TRANSFORM, "parameters": parameters}
     name = hashlib.sha256(f"{digest}/{TRANSFORM}/{parameters}".encode()).hexdigest()[:16]
     header = replace(raw.header, episode=raw.header.episode | {"id": name}, lineage=lineage)

@@ -211,3 +211,11 @@ def test_a_slide_leaves_its_way_nowhere(gantry):
     verdict = checker.check(np.zeros(1), np.array([[3.0, 0.0, 0.0]]), 0.0)
     assert not verdict.free[0]
     assert checker.describe(int(verdict.what[0])) == "a slide and the end of its way"
+
+
+def test_the_least_distance_is_that_of_all_slacks(gantry):
+    _, checker, time, q = gantry
+    fine = np.linspace(0.0, time[-1], 300)
+    path = np.stack([np.interp(fine, time, column) for column in q.T], axis=1)
+    every = checker.slack(fine, path, 0.0)[:, : len(checker.pairs)]
+    assert checker.nearest(fine, path) == pytest.approx(every.min(), abs=1e-5)

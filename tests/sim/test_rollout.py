@@ -13,6 +13,7 @@ from coordlog.policies.noise import Random, Still
 from coordlog.record.recorder import Recorder
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.rollout import policy_rng, rollout
+from coordlog.sim.scoring import judged
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 from tests.contracts import EnvContract
@@ -205,3 +206,14 @@ class TestARecorderIsAnEnvironment(EnvContract):
         )
         self.open.append(recorder)
         return recorder
+
+
+def test_what_is_touched_first_is_counted_once_per_episode_that_touches():
+    env = BatchEnv(SCENES["table"], EnvConfig(max_steps=40), n=4, threads=1)
+    board = judged(env, Random(env.n, 13, sigma=1.0), episodes=8, k=2, seed=0, split="train")
+    collided = sum(score.collided for score in board.scores)
+    assert collided > 0
+    assert board.touches.total() == collided
+    for pair in board.touches:
+        first, second = (env.task.model.geom(geom).name for geom in pair)
+        assert not {first, second} <= {"floor", *env.scene.robot.soles}

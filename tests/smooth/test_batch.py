@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from coordlog.errors import ConfigError, StorageError
+from coordlog.errors import ConfigError, CoordlogError
 from coordlog.record.reader import read_episode
 from coordlog.sim.simulation import Simulation
 from coordlog.sim.task import BoundTask
@@ -68,7 +68,7 @@ def test_a_log_that_cannot_be_used_is_a_row_and_no_error(tmp_path: Path) -> None
 
 
 def test_nothing_to_smooth_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match=r"no episodes \(\.mcap\)"):
+    with pytest.raises(CoordlogError, match=r"no episodes \(\.mcap\)"):
         plan([tmp_path], tmp_path.parent / "elsewhere", SETTINGS)
 
 
