@@ -112,15 +112,21 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
 
 
 def task_of(log: Log) -> BoundTask:
-    """The task a log was recorded in, rebuilt from its header and model.
+    """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
 
     Raises:
         ConfigError: if the task is not installed, or the model lacks what the header names.
     """
-    env = log.header.env
-    config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-    rules = registry.task_of(env)
-    return BoundTask(rules, Robot.from_json(env["robot"]), log.model, config, reward)
+    global _last
+    if _last is None or _last[0] is not log.header or _last[1] is not log.model:
+        env = log.header.env
+        config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
+        robot, rules = Robot.from_json(env["robot"]), registry.task_of(env)
+        _last = log.header, log.model, BoundTask(rules, robot, log.model, config, reward)
+    return _last[2]
+
+
+_last: tuple[Header, mujoco.MjModel, BoundTask] | None = None
 
 
 class LogEnv:
