@@ -60,7 +60,7 @@ EXTRA_OF = {
     "gymnasium": "gym",
     "torch": "train",
     "safetensors": "train",
-    "duckdb": "train",
+    "duckdb": "catalog",
     "rerun": "view",
     "rerun_cli": "view",
     "matplotlib": "view",

@@ -152,13 +152,9 @@ def _answer(ray: Any, reference: Any) -> Any:
 @contextmanager
 def _cluster(address: str) -> Iterator[Any]:
     """A connection to a cluster, or one of our own on this machine."""
-    try:
-        import ray
-        import ray.exceptions
-    except ImportError:
-        raise ConfigError(
-            "--jobs ray: Ray is not installed: pip install 'coordlog[cluster]'"
-        ) from None
+    import ray
+    import ray.exceptions
+
     if ray.is_initialized():
         yield ray
         return

@@ -2,11 +2,12 @@
 
 The codec, the `.msg` schemas, the Arrow columns and the documentation are all derived from
 `MESSAGES`. A sequence field names its length with a symbol; a `Layout` gives the symbols numbers
-for one robot and task.
+for one robot and task. What a task logs of its own is a message of its own (`task_message`), from
+the fields the task declares.
 
-    n_q, n_v   MuJoCo's nq and nv of the whole model
-    n_x        policy state          n_u   action          k   arms (= tasks)
-    n_j        joints of the smoothed path (= n_u)         c   contacts in one step (ragged)
+    n_q, n_v   MuJoCo's nq and nv of the whole model      n_c   MuJoCo's nu: its actuators
+    n_x        policy state          n_u   action         k     heads of the reward (arms)
+    n_j        joints of the smoothed path (= n_u)        c     contacts in one step (ragged)
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from typing import Literal, NamedTuple
 
 from coordlog.errors import SpecError
 
-SCHEMA_VERSION = 1
-"""Raised whenever a message changes; a reader refuses versions it does not know."""
+SCHEMA_VERSION = 2
+"""What is written. Raised when a reader of the version before would misread a file."""
+READABLE = (1, 2)
+"""Versions that are read: every one there has been."""
 
 When = Literal["before", "during", "after"]
 CORE = "core"
@@ -147,14 +150,37 @@ STEP = Message(
     "coordlog_msgs/msg/Step",
     "/coordlog/step",
     "One control step: the state before the action, the action executed, and what it led to. Authoritative.",
-    (STEP_INDEX, *_BEFORE, _ACTION, _REWARD, *REACH, _TERMINATED, _TRUNCATED),
+    (
+        STEP_INDEX,
+        *_BEFORE,
+        _ACTION,
+        Field("ctrl", "float64", "n_c", "", "MuJoCo ctrl at the end of the step: servo targets"),
+        Field(
+            "torque",
+            "float64",
+            "n_c",
+            "N, N·m",
+            "MuJoCo actuator_force at the end of the step, of every actuator",
+        ),
+        _REWARD,
+        _TERMINATED,
+        _TRUNCATED,
+    ),
 )
+
+V1_STEP = STEP._replace(
+    fields=(STEP_INDEX, *_BEFORE, _ACTION, _REWARD, *REACH, _TERMINATED, _TRUNCATED)
+)
+"""Step as version 1 has it: with the fields of the reach task, without ctrl and torque."""
 
 FINAL = Message(
     "coordlog_msgs/msg/Final",
     "/coordlog/final",
     "The state after the last action: N steps and one final state, never an action without its outcome.",
-    (STEP_INDEX, *_BEFORE),
+    (
+        STEP_INDEX._replace(doc="number of steps"),
+        *(item._replace(doc=item.doc.replace("before the", "after the last")) for item in _BEFORE),
+    ),
 )
 
 CONTACTS = Message(
@@ -173,15 +199,21 @@ CONTACTS = Message(
     ),
 )
 
-ARM = Message(
-    "coordlog_msgs/msg/Arm",
-    "/coordlog/arm/",
-    "One arm's share of a step as named scalars, for viewers; the topic ends in the arm's name.",
+INPUTS = Message(
+    "coordlog_msgs/msg/Inputs",
+    "/coordlog/inputs",
+    "What else the physics is given from this substep on, until the next message; none if it never changes.",
     (
-        Field("reward", "float64", "", "", "as in Step"),
-        Field("distance", "float64", "", "m", "as in Step"),
-        Field("boundary", "bool", "", "", "as in Step"),
-        Field("goal", "bool", "", "", "as in Step"),
+        Field("step", "int64", "", "", "control step, from 0"),
+        Field("substep", "int32", "", "", "physics substep of the control step, from 0"),
+        Field("qfrc_applied", "float64", "n_v", "N, N·m", "generalized forces applied"),
+        Field("xfrc_applied", "float64", "6*bodies", "N, N·m", "force and torque on each body"),
+        Field("eq_active", "bool", "equalities", "", "which equality constraints are active"),
+        Field("mocap_pos", "float64", "3*mocaps", "m", "positions of the mocap bodies"),
+        Field("mocap_quat", "float64", "4*mocaps", "", "orientations of the mocap bodies, w first"),
+        Field(
+            "state", "float64", "s", "", "the whole integration state, where it was set; or none"
+        ),
     ),
 )
 
@@ -213,10 +245,71 @@ SPLINE = Message(
     ),
 )
 
-MESSAGES = (STEP, FINAL, CONTACTS, ARM, KNOT, SPLINE)
+TASK_TOPIC = "/coordlog/task/"
+ARM_TOPIC = "/coordlog/arm/"
+
+
+def task_message(task: str, fields: tuple[Field, ...]) -> Message:
+    """The message of a task's own fields, one for every step.
+
+    Example:
+        >>> task_message("reach", REACH).topic
+        '/coordlog/task/reach'
+    """
+    doc = f"What the task '{task}' logs of one control step."
+    return Message(
+        f"coordlog_msgs/msg/{_camel(task)}Task", TASK_TOPIC + task, doc, (STEP_INDEX, *fields)
+    )
+
+
+def task_final(task: str, fields: tuple[Field, ...]) -> Message:
+    """The message of a task's own fields that hold after the last action, one an episode."""
+    after_last = FINAL.fields[0]
+    return Message(
+        f"coordlog_msgs/msg/{_camel(task)}Final",
+        TASK_TOPIC + task + "/final",
+        f"What the task '{task}' logs of the state after the last action.",
+        (after_last, *before(fields)),
+    )
+
+
+def arm_message(task: str, fields: tuple[Field, ...]) -> Message:
+    """One arm's share of a step as named scalars, for viewers: its reward, and every field of the
+    task that has an entry for each arm.
+    """
+    each = [item for item in (_REWARD, *after(fields)) if item.size == "k"]
+    prefix = "" if task == "reach" else _camel(task)  # version 1 called that of reach so
+    return Message(
+        f"coordlog_msgs/msg/{prefix}Arm",
+        ARM_TOPIC,
+        "One arm's share of a step as named scalars, for viewers; the topic ends in the arm's name.",
+        tuple(item._replace(size="", doc=item.doc.replace("each arm", "the arm")) for item in each),
+    )
+
+
+def _camel(name: str) -> str:
+    letters = "".join(letter if letter.isalnum() else " " for letter in name)
+    return "".join(word[:1].upper() + word[1:] for word in letters.split())
+
+
+ARM = arm_message("reach", REACH)
+
+MESSAGES = (
+    STEP,
+    FINAL,
+    CONTACTS,
+    INPUTS,
+    task_message("reach", REACH),
+    KNOT,
+    SPLINE,
+    ARM,
+)
+"""Everything coordlog writes of its own, with the message of the reach task for a task's."""
 
 JOINT_STATE_NAME = "sensor_msgs/msg/JointState"
 JOINT_STATE_TOPIC = "/joint_states"
+TRANSFORMS_NAME, TRANSFORMS_TOPIC = "tf2_msgs/msg/TFMessage", "/tf"
+DESCRIPTION_NAME, DESCRIPTION_TOPIC = "std_msgs/msg/String", "/robot_description"
 
 
 @dataclass(frozen=True)
@@ -228,6 +321,8 @@ class Layout:
     n_x: int
     n_u: int
     k: int
+    n_c: int = 0
+    """0 where actuators are not logged: files of version 1, observed episodes."""
 
     @property
     def n_j(self) -> int:

@@ -9,13 +9,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from coordlog.episode import CONTACT, INITIAL_STATE, MODEL_XML, Episode, Header, Path, Result
+from coordlog.episode import (
+    CONTACT,
+    FIELD_KEYS,
+    INITIAL_STATE,
+    MODEL_XML,
+    Episode,
+    Header,
+    Path,
+    Result,
+)
 from coordlog.errors import FormatError
-from coordlog.spec import SCHEMA_VERSION, Layout
+from coordlog.spec import REACH, SCHEMA_VERSION, Layout
 
-HUMANOID = Layout(n_q=34, n_v=33, n_x=25, n_u=13, k=2)
-PLANAR = Layout(n_q=8, n_v=8, n_x=23, n_u=8, k=3)
-TINY = Layout(n_q=2, n_v=2, n_x=3, n_u=1, k=1)
+HUMANOID = Layout(n_q=34, n_v=33, n_x=25, n_u=13, k=2, n_c=19)
+PLANAR = Layout(n_q=8, n_v=8, n_x=23, n_u=8, k=3, n_c=8)
+TINY = Layout(n_q=2, n_v=2, n_x=3, n_u=1, k=1, n_c=1)
+TASK = {
+    "name": "reach",
+    "fields": [{key: getattr(item, key) for key in FIELD_KEYS} for item in REACH],
+}
 
 PERIOD = 0.04
 START = 1_700_000_000_123_456_789
@@ -46,6 +59,7 @@ def make_header(layout=HUMANOID, *, start_time=START, **episode):
     return Header(
         episode={
             "schema_version": SCHEMA_VERSION,
+            "kind": "simulated",
             "id": "synthetic-0",
             "run": "test",
             "robot": "synthetic",
@@ -75,7 +89,8 @@ def make_header(layout=HUMANOID, *, start_time=START, **episode):
                 }
                 for i in range(joints)
             ],
-            "actuators": ["a"] * layout.n_u,
+            "task": TASK,
+            "actuators": ["a"] * layout.n_c,
             "geoms": [f"geom_{i}" for i in range(20)],
             "arms": {name: [index] for index, name in enumerate(names)},
             "action_joints": [f"joint_{i}" for i in range(layout.n_u)],
@@ -86,6 +101,7 @@ def make_header(layout=HUMANOID, *, start_time=START, **episode):
                 "n_x": layout.n_x,
                 "n_u": layout.n_u,
                 "k": layout.k,
+                "n_c": layout.n_c,
             },
         },
         policy={
@@ -148,6 +164,8 @@ def make_episode(
         qvel=rng.normal(size=(length + 1, layout.n_v)),
         state=rng.uniform(-1, 1, (length + 1, layout.n_x)).astype(np.float32),
         action=rng.uniform(-1, 1, (length, layout.n_u)).astype(np.float32),
+        ctrl=rng.normal(size=(length, layout.n_c)),
+        torque=rng.normal(size=(length, layout.n_c)),
         reward=rewards(distance, boundary, goal, collision, instability, REWARD),
         distance=distance,
         boundary=boundary,
@@ -194,8 +212,9 @@ def with_true_result(episode):
     )
 
 
-COLUMNS = ("time", "qpos", "qvel", "state", "action", "reward", "distance", "boundary", "goal")
-COLUMNS += ("collision", "instability", "terminated", "truncated", "contacts")
+COLUMNS = ("time", "qpos", "qvel", "state", "action", "ctrl", "torque", "reward")
+COLUMNS += ("terminated", "truncated", "distance", "boundary", "goal", "collision")
+COLUMNS += ("instability", "contacts")
 
 
 def assert_same(a, b):
@@ -203,7 +222,8 @@ def assert_same(a, b):
     assert a.header == b.header
     assert list(a.header.arms) == list(b.header.arms)
     assert repr(a.result) == repr(b.result)  # repr, so that NaN equals NaN
-    for name in COLUMNS:
+    assert list(a.columns) == list(b.columns)
+    for name in (*a.columns, "contacts"):
         assert getattr(a, name).dtype == getattr(b, name).dtype, name
         assert getattr(a, name).shape == getattr(b, name).shape, name
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name

@@ -16,7 +16,7 @@ def stepped(name, count=3):
     env = BatchEnv(SCENES[name], n=2, threads=1)
     ids = np.arange(2)
     env.reset(ids, [env.problem(seed=0, split="train", index=i) for i in range(2)])
-    start = env.physics.rows[1].copy()
+    start = env.physics.rows.copy()
     action = np.random.default_rng(0).uniform(-1, 1, (count, 2, env.layout.n_u))
     return env, start, [env.step(each.astype(np.float32), ids) for each in action]
 
@@ -44,14 +44,16 @@ def test_an_outcome_has_the_columns_of_the_core_and_of_the_task():
 def test_ctrl_and_torque_are_those_at_the_end_of_the_step(name):
     """Against MuJoCo stepped plainly, one substep after the other."""
     env, start, outcomes = stepped(name)
-    model, data = env.task.model, mujoco.MjData(env.task.model)
-    mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_INTEGRATION)
-    before = data.ctrl.copy()
-    for outcome in outcomes:
-        after, count = outcome.ctrl[1], env.task.substeps
-        for i in range(count):
-            data.ctrl[:] = before + (after - before) * ((i + 1.0) / count)
-            mujoco.mj_step(model, data)
-        assert outcome.torque[1].tobytes() == data.actuator_force.tobytes()
-        assert np.abs(outcome.torque[1]).max() > 0.01
-        before = after
+    model, count = env.task.model, env.task.substeps
+    for sim in range(2):  # both: what one shows must not be what the other left
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, start[sim], mujoco.mjtState.mjSTATE_INTEGRATION)
+        before = data.ctrl.copy()
+        for outcome in outcomes:
+            after = outcome.ctrl[sim]
+            for i in range(count):
+                data.ctrl[:] = before + (after - before) * ((i + 1.0) / count)
+                mujoco.mj_step(model, data)
+            assert outcome.torque[sim].tobytes() == data.actuator_force.tobytes()
+            assert np.abs(outcome.torque[sim]).max() > 0.01
+            before = after

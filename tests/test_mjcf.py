@@ -1,13 +1,12 @@
 """Loading a model out of a log: the same model, and nothing else is ever opened."""
 
 import mujoco
+import numpy as np
 import pytest
 import zstandard
 
-from coordlog import mjcf as attached
 from coordlog.errors import FormatError
-from coordlog.mjcf import compose, load_model
-from coordlog.sim.env import binary
+from coordlog.mjcf import attached, compile_model, compose, load_attached, load_model, pack_source
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
@@ -18,17 +17,23 @@ def packed(content):
     )
 
 
+def binary(model):
+    """A compiled model as MuJoCo's own bytes."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
 @pytest.mark.parametrize("name", SCENES)
-def test_text_and_mjb_give_the_model_that_was_simulated(name):
-    text = compose(SCENES[name], EnvConfig())
-    wanted = mujoco.MjModel.from_xml_string(text)
-    mjb = packed(binary(wanted))
-    for model in (
-        load_model(packed(text), None),
-        load_model(None, mjb),
-        load_model(packed(text), mjb),
-    ):
-        assert binary(model) == binary(wanted)
+def test_the_text_gives_the_model_that_was_simulated_and_no_mjb_is_loaded(name):
+    source = compose(SCENES[name], EnvConfig())
+    wanted = compile_model(source)
+    text = packed(source.text)
+    assert binary(load_attached(pack_source(source))) == binary(wanted)
+    for mjb in (None, packed(b"what would crash MuJoCo")):
+        assert binary(load_model(text, mjb)) == binary(wanted)
+    with pytest.raises(FormatError, match="MJB, which is not loaded"):
+        load_model(None, packed(binary(wanted)))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +91,7 @@ def test_damage_and_absence_are_said(monkeypatch):
     with pytest.raises(FormatError, match="MJCF text is damaged"):
         load_model(b"junk", None)
     with pytest.raises(FormatError, match="does not load in MuJoCo"):
-        load_model(None, packed(b"junk"))
+        load_model(packed(b"<mujoco><nonsense/></mujoco>"), None)
     monkeypatch.setattr(attached, "MAX_BYTES", 1 << 20)
     with pytest.raises(FormatError, match="more than 1 MiB"):
         load_model(packed(b"\0" * (2 << 20)), None)
@@ -97,6 +102,6 @@ def test_a_damaged_model_leaves_nothing_on_the_console_or_in_the_folder(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FormatError):
-        load_model(None, zstandard.compress(b"no model at all"))
+        load_model(zstandard.compress(b"<mujoco><nonsense/></mujoco>"), None)
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")

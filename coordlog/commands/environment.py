@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import runpy
+import sys
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from coordlog.sim.env import BatchEnv
     from coordlog.tasks.scene import Scene
 
-TABLES = ("env", "reward")
+TABLES = ("env", "reward", "task")
+MOST = 1 << 20
+"""Largest configuration file that is read [bytes]."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -26,40 +30,67 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: if the file cannot be read or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            data = stream.read(MOST + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    if len(data) > MOST:
+        raise ConfigError(f"{path}: expected a configuration of at most {MOST:,} bytes, got more")
+    try:
+        tables = tomllib.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise ConfigError(f"{path}: expected TOML, got one that is too deep") from None
+    except ValueError as error:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise ConfigError(f"{path}: '{name}': expected a table [{name}], got {str(table)[:40]}")
+    return tables
 
 
 def scene_of(name: str) -> Scene:
-    """The scene that a person asks for: one that ships, or one of their own as FILE.py:NAME, for
-    which the file is run.
+    """The scene that a person asks for: one that ships, one of their own as FILE.py:NAME, for which
+    the file is run, or a robot's card, ROBOT.toml.
 
-    Names that come out of logs and policy files go to `sim.scene.find` instead: what somebody sent
-    must not run anything.
+    Names that come out of logs and policy files go to `tasks.scene.find` instead: what somebody
+    sent must not run anything.
 
     Raises:
-        ConfigError: for an unknown name, a file that cannot be run, or a name in it that is no
-            scene.
+        ConfigError: for an unknown name, a file that cannot be run or read, or a name in it that is
+            no scene.
     """
+    from coordlog.tasks.card import read_card
     from coordlog.tasks.scene import Scene, find
 
+    if name.endswith(".toml"):
+        return read_card(Path(name))
     file, colon, attribute = name.rpartition(":")
     if not colon:
         return find(name)
-    try:
-        found = runpy.run_path(file)
-    except Exception as error:  # the file is the user's, and so is whatever it raises
-        raise ConfigError(
-            f"{file}: cannot be run for its scenes: {type(error).__name__}: {error}"
-        ) from error
+    found = _run(Path(file))
     scenes = [key for key, value in found.items() if isinstance(value, Scene)]
     if attribute not in scenes:
         raise unknown(f"scene of {file}", attribute, scenes)
     own: Scene = found[attribute]
+    if own.robot.assets is None and isinstance(own.robot.mjcf, str):  # beside the file, as Python
+        own = replace(own, robot=replace(own.robot, assets=Path(file).resolve().parent))
     return own
+
+
+def _run(file: Path) -> dict[str, Any]:
+    """Run a file of the user's as `python FILE.py` does: its own folder is where it imports from
+    first.
+    """
+    folder = str(file.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        return runpy.run_path(str(file))
+    except Exception as error:  # the file is the user's, and so is whatever it raises
+        raise ConfigError(
+            f"{file}: cannot be run for its scenes: {type(error).__name__}: {error}"
+        ) from error
+    finally:
+        sys.path.remove(folder)
 
 
 def true_scene(env: Json) -> Json:
@@ -87,7 +118,8 @@ def make_env(
 
     Args:
         scene: What to simulate, or the name of one that ships.
-        tables: Tables "env" and "reward" of a configuration file, or none.
+        tables: Tables "env", "reward" and "task" of a configuration file, or none; "task" has the
+            constants that are the task's own.
         start: Name of the start pose.
         envs: Number of simulations.
         threads: Threads to simulate on.
@@ -98,25 +130,30 @@ def make_env(
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
-    from coordlog.config import build
-    from coordlog.sim.env import BatchEnv
+    from coordlog.config import build, plain
+    from coordlog.sim.env import BatchEnv, default_config
     from coordlog.tasks.config import EnvConfig, RewardConfig
+    from coordlog.tasks.registry import SAID
     from coordlog.tasks.scene import find
 
     for name in tables:
         if name not in TABLES:
             raise unknown("table", name, TABLES)
+    place = find(scene) if isinstance(scene, str) else scene
     before = like or {"config": {}, "reward": {}}
+    own = {key: value for key, value in before.get("task", {}).items() if key not in SAID}
     reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
-    constants = build(EnvConfig, before["config"] | tables.get("env", {}))
+    config = plain(default_config(place)) | before["config"] | tables.get("env", {})
+    constants = build(EnvConfig, config)
     if doubts and "reward" in tables:
         for doubt in reward.doubts(steps=constants.max_steps):
             note(doubt)
     return BatchEnv(
-        find(scene) if isinstance(scene, str) else scene,
+        place,
         constants,
         reward,
         n=envs,
         threads=threads,
         start=start,
+        task=own | tables.get("task", {}),
     )

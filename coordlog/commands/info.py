@@ -36,11 +36,15 @@ def info(
 
         coordlog info logs/table-train-s0-000003-1f2e3d4c.mcap --json
     """
+    from coordlog.record.files import Files, nothing_found
     from coordlog.record.info import summarise
 
     summary = summarise(path)
-    if summary.skipped and not summary.rows and all(item.is_file() for item in path):
-        raise FormatError(f"{summary.skipped[0].path}: {summary.skipped[0].reason}")
+    if not summary.rows:
+        if len(path) == 1 and [item.path for item in summary.skipped] == path:
+            raise FormatError(f"{path[0]}: {summary.skipped[0].reason}")
+        _name(summary)
+        raise nothing_found(path, Files((), summary.parts, (), summary.others))
     if as_json:
         terminal.print_json(summary.to_json())
     else:
@@ -73,17 +77,43 @@ def _show(summary: Summary, *, every: bool) -> None:
         scenes = ", ".join(f"{count} {name}" for name, count in totals.scenes.items())
         size = terminal.megabytes(totals.size)
         line = f"{totals.episodes} episodes ({scenes}), {totals.steps:,} steps, {totals.duration:,.0f} s simulated, {size}; {share}"
-        terminal.out.print(line, highlight=False)
+        terminal.say(line)
     for row in shown:
         if row.parents:
-            terminal.out.print(
-                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}",
-                highlight=False,
+            terminal.say(
+                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}"
             )
+    _name(summary)
+    if len(shown) == 1:
+        _show_contacts(shown[0])
+
+
+def _name(summary: Summary) -> None:
+    """Name what was left out."""
     for item in summary.skipped:
         terminal.note(f"skipped: {item.path}: {item.reason}")
     for part in summary.parts:
         terminal.note(f"unfinished: {part}; `coordlog recover` makes an episode of it")
+
+
+def _show_contacts(row: Row) -> None:
+    """What touched what in an episode, the pair that did so longest first."""
+    from collections import Counter
+
+    from coordlog.record.reader import read_episode
+
+    episode = read_episode(Path(row.path))
+    names, contacts = episode.header.env.get("geoms", []), episode.contacts
+    steps = Counter(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
+    for (one, other), count in steps.most_common(MANY):
+        pair = (contacts["geom1"] == one) & (contacts["geom2"] == other)
+        label = " – ".join(
+            (names[g] if g < len(names) else "") or f"geom {g}" for g in (one, other)
+        )
+        depth = contacts["depth"][pair].max() * 1e3
+        terminal.out.print(
+            f"contact: {label} at {count} steps, {depth:.1f} mm deep at most", highlight=False
+        )
 
 
 def _cells(row: Row) -> list[object]:

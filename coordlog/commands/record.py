@@ -12,10 +12,13 @@ import typer
 from coordlog.commands import terminal
 from coordlog.commands.environment import make_env, read_toml, scene_of
 from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
+from coordlog.commands.sink import Sink, recording_into
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+from coordlog.parallel import SHARD_HELP
+from coordlog.parallel import shard as share
 
 if TYPE_CHECKING:
-    from coordlog.record.recorder import Finished, Recorder
+    from coordlog.record.recorder import Recorder
     from coordlog.sim.scoring import Scoreboard
 
 
@@ -23,7 +26,7 @@ def record(
     scene: Annotated[
         str,
         typer.Option(
-            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME; by default the policy's, or table."
+            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
         ),
     ] = "",
     policy: Annotated[
@@ -59,9 +62,14 @@ def record(
     ] = None,
     where: Annotated[str, typer.Option(help='Which of them, in SQL: "not clean".')] = "",
     start: Annotated[str, typer.Option(help="Start pose of the robot.")] = "stand",
-    out: Annotated[Path, typer.Option(help="Folder; files already in it stay as they are.")] = Path(
-        "logs"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder, pack or s3://…; what is already there stays as it is."),
+    ] = Path("logs"),
+    pack: Annotated[
+        bool, typer.Option("--pack", help="Write a pack: many episodes in a few large files.")
+    ] = False,
+    shard: Annotated[str, typer.Option(help=SHARD_HELP, metavar="I/N")] = "",
     envs: Annotated[
         int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")
     ] = 16,
@@ -95,11 +103,14 @@ def record(
 
         coordlog record --policy runs/table/best --split test --episodes 200 --out logs/evaluation
 
+        coordlog record --episodes 1000 --shard 3/8 --pack --out PACK/
+
         coordlog record --branch logs/visited --where "not clean" --out logs/corrected
     """
     from coordlog.commands.branches import Branched, Parents
     from coordlog.policies.scripted import with_noise
     from coordlog.record.recorder import Recorder
+    from coordlog.sim.examine import scarce
     from coordlog.sim.rollout import rollout
     from coordlog.sim.scoring import Scoreboard
     from coordlog.tasks.scene import find
@@ -121,32 +132,39 @@ def record(
     tables = read_toml(config) if config else {}
     like = parents.env if parents else trained.get("env")
     start = parents.start if parents else start
-    env = make_env(place, tables, start=start, envs=min(envs, episodes), threads=threads, like=like)
+    numbers = share(range(episodes), shard)
+    envs = max(min(envs, len(numbers)), 1)
+    env = make_env(place, tables, start=start, envs=envs, threads=threads, like=like)
     chosen, described = make_policy(policy, env, shield=shield)
     actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
-    done: list[Finished] = []
     board = Scoreboard(env.n, env.layout.k)
     steps, began = 0, time.perf_counter()
-    with terminal.progress() as bar, terminal.interruptible() as interrupted:
-        task = bar.add_task(f"recording {place.name}", total=episodes, note="")
+    with (
+        recording_into(out, pack=pack) as sink,
+        terminal.progress() as bar,
+        terminal.interruptible() as interrupted,
+    ):
+        task = bar.add_task(f"recording {place.name}", total=len(numbers), note="")
         make = partial(Branched, parents) if parents else Recorder
         with make(
-            env, out, policy=described, display=display, epoch=epoch, finished=done.append
+            env, sink.folder, policy=described, display=display, epoch=epoch, finished=sink.take
         ) as recorder:
-            for ids, outcome in rollout(recorder, actor, range(episodes), seed=seed, split=split):
+            for ids, outcome in rollout(recorder, actor, numbers, seed=seed, split=split):
                 board.add(ids, outcome)
                 steps += len(ids)
                 bar.update(
                     task,
-                    completed=len(done),
+                    completed=len(sink.done),
                     note=f"{steps / (time.perf_counter() - began):,.0f} steps/s",
                 )
                 if interrupted:
                     break
-        bar.update(task, completed=len(done))
-    summary = _summary(board, done, recorder, steps=steps, seconds=time.perf_counter() - began)
-    summary["wanted"] = episodes
+        bar.update(task, completed=len(sink.done))
+    summary = _summary(board, sink, recorder, steps=steps, seconds=time.perf_counter() - began)
+    summary["wanted"] = len(numbers)
     _show(summary, out=out, as_json=as_json)
+    if seldom := scarce(env):
+        terminal.note(seldom)
     if interrupted:
         terminal.note(
             f"interrupted: {summary['aborted']} episodes were closed as aborted; all their steps are kept"
@@ -160,7 +178,7 @@ def record(
 
 
 def _summary(
-    board: Scoreboard, done: list[Finished], recorder: Recorder, *, steps: int, seconds: float
+    board: Scoreboard, sink: Sink, recorder: Recorder, *, steps: int, seconds: float
 ) -> dict[str, Any]:
     """The figures of a run; rates are of the episodes that ended."""
     from coordlog.sim.scoring import figures
@@ -168,13 +186,13 @@ def _summary(
     return {
         "run": recorder.run,
         **figures(board.scores),
-        "aborted": sum(bool(item.result.aborted) for item in done),
+        "aborted": sum(bool(item.result.aborted) for item in sink.done),
         "steps": steps,
         "seconds": seconds,
         "steps_per_second": steps / seconds,
-        "megabytes": sum(item.path.stat().st_size for item in done) / 1e6,
+        "megabytes": sink.size / 1e6,
         "recording_us_per_step": recorder.seconds / max(steps, 1) * 1e6,
-        "files": [str(item.path) for item in sorted(done, key=lambda item: item.path)],
+        "files": [str(item.path) for item in sorted(sink.done, key=lambda item: item.path)],
     }
 
 

@@ -114,16 +114,16 @@ def smooth_episode(
     """
     import numpy as np
 
-    from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
+    from coordlog.episode import INITIAL_STATE
     from coordlog.kinematics.clearance import SceneChecker
-    from coordlog.mjcf import load_model
+    from coordlog.mjcf import load_attached
     from coordlog.sim.replay import Log, task_of
     from coordlog.smooth.execute import execute
     from coordlog.smooth.limits import Limits
     from coordlog.smooth.smoother import smooth
 
     checker = SceneChecker.of(episode, attachments)
-    model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
+    model = load_attached(attachments)
     log = Log.of(episode, model, np.frombuffer(attachments[INITIAL_STATE]))
     task = task_of(log)
     angles = episode.qpos[:, task.qpos_index]

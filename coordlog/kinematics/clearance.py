@@ -17,13 +17,13 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
+from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.base_motion import Logged
 from coordlog.kinematics.inverse_dynamics import Inverse
 from coordlog.kinematics.motion_bounds import bounds
 from coordlog.kinematics.support import FALLING, Footing
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig
 
@@ -117,7 +117,7 @@ class SceneChecker:
         Raises:
             FormatError: if the model or the first state is missing, damaged, or not the episode's.
         """
-        model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
+        model = load_attached(attachments)
         initial = np.frombuffer(attachments.get(INITIAL_STATE, b""), dtype="<f8")
         wanted = mujoco.mj_stateSize(model, STATE)
         if initial.shape != (wanted,) or model.nq != episode.qpos.shape[1]:

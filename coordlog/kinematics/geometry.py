@@ -12,18 +12,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
+from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.robots.robot import Robot
-from coordlog.tasks.scene import goal_body, sole_corner
+from coordlog.tasks.scene import ROBOT_IN_WORLD, goal_body, sole_corner
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 KINDS = {
     getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"): kind
     for kind in ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
 }
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+DRAWN = {int(kind) for kind in KINDS} | {MESH}
+"""Kinds that are drawn as they are, not as a box."""
+UNCOLOURED = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
+"""MuJoCo's colour of a geom that has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,7 @@ class Geom:
     index: int
     name: str
     kind: str
-    """"plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+    """"plane", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
 
     What else MuJoCo knows is drawn as its bounding box.
     """
@@ -46,6 +51,8 @@ class Geom:
     colour: tuple[float, float, float, float]
     place: str
     """"robot", "world", "goal", "object" or "obstacle"."""
+    mesh: tuple[Array, Array] | None = None
+    """Of a mesh: its vertices (v, 3) [m] in the geom's frame, and its triangles (t, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +131,10 @@ class Geometry:
         self._base = int(model.body_rootid[model.site_bodyid[self._palms[0]]])
         self._goals = {goal_body(arm.name) for arm in robot.arms}
         self.geoms = [self._geom(i) for i in range(model.ngeom)]
+        boxed = [geom.index for geom in self.geoms if int(model.geom_type[geom.index]) not in DRAWN]
+        self._middle = np.zeros((model.ngeom, 3))
+        """From each geom's frame to the middle of what is drawn of it [m]."""
+        self._middle[boxed] = model.geom_aabb[boxed, :3]
 
     @classmethod
     def of(cls, episode: Episode, attachments: Mapping[str, bytes]) -> Geometry:
@@ -134,7 +145,7 @@ class Geometry:
                 episode's.
         """
         robot = Robot.from_json(episode.header.env["robot"])
-        model = load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB))
+        model = load_attached(attachments)
         if model.nq != episode.qpos.shape[1]:
             raise FormatError(
                 f"the attached model: expected nq = {episode.qpos.shape[1]} as in the steps, got {model.nq}"
@@ -168,6 +179,8 @@ class Geometry:
             )
             palms[i], corners[i] = data.site_xpos[self._palms], data.site_xpos[self._corners]
         quaternion = _product(bodies[:, model.geom_bodyid], model.geom_quat)
+        if self._middle.any():
+            position = position + turned(quaternion, self._middle)
         return Motion(position, quaternion, palms, com, corners)
 
     def palms(self, qpos: Array) -> Array:
@@ -194,15 +207,51 @@ class Geometry:
     def _geom(self, index: int) -> Geom:
         model = self._model
         geom, body = model.geom(index), int(model.geom_bodyid[index])
-        kind = KINDS.get(int(geom.type[0]), "box")
-        size = tuple(geom.size) if int(geom.type[0]) in KINDS else tuple(model.geom_aabb[index, 3:])
+        form, mesh = int(geom.type[0]), None
+        kind = KINDS.get(form, "box")
+        size = tuple(geom.size) if form in KINDS else tuple(model.geom_aabb[index, 3:])
+        if form == MESH:
+            kind, mesh = "mesh", _mesh(model, int(model.geom_dataid[index]))
         place = "robot"
         if body == 0:
             place = "world"
         elif model.body_mocapid[body] >= 0:
             name = model.body(body).name
             place = "goal" if name in self._goals else "object" if name == "object" else "obstacle"
-        return Geom(index, geom.name, kind, size, tuple(geom.rgba), place)
+        own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
+        if own >= 0:
+            first = int(model.tuple_adr[own])
+            if index in model.tuple_objid[first : first + int(model.tuple_size[own])]:
+                place = "robot"
+        return Geom(index, geom_label(model, index), kind, size, _colour(model, index), place, mesh)
+
+
+def geom_label(model: mujoco.MjModel, index: int) -> str:
+    """A geom's name; by its body where it has none, as in models of others."""
+    body = model.body(int(model.geom_bodyid[index])).name or "a body"
+    return str(model.geom(index).name or f"body {body} (geom {index})")
+
+
+def _colour(model: mujoco.MjModel, index: int) -> tuple[float, float, float, float]:
+    """Its own, or that of its material where it has none of its own."""
+    material, rgba = int(model.geom_matid[index]), model.geom_rgba[index]
+    if material >= 0 and np.array_equal(rgba, UNCOLOURED):
+        rgba = model.mat_rgba[material]
+    red, green, blue, alpha = rgba
+    return red, green, blue, alpha
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:
+    vertex, vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    return model.mesh_vert[vertex : vertex + vertices], model.mesh_face[face : face + faces]
+
+
+def turned(quaternion: Array, vector: Array) -> Array:
+    """Vectors (…, 3) turned by unit quaternions (…, 4), scalar first."""
+    w, u = quaternion[..., :1], quaternion[..., 1:]
+    across = 2.0 * np.cross(u, np.broadcast_to(vector, u.shape))
+    return np.asarray(vector + w * across + np.cross(u, across))
 
 
 def hull(points: Array) -> list[int]:

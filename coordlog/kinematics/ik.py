@@ -6,6 +6,7 @@ Used to verify that a drawn problem can be solved and by the scripted expert; no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.kinematics.balance import support_margin
 from coordlog.robots.robot import Robot
-from coordlog.tasks.scene import sole_corner, sphere_geom
+from coordlog.tasks.scene import ROBOT_IN_WORLD, sole_corner, sphere_geom
 
 ITERATIONS = 60
 DAMPING = 0.03
@@ -59,7 +60,14 @@ class Reach:
     """
 
     def __init__(
-        self, robot: Robot, model: mujoco.MjModel, *, margin: float, tilt: float, standing: Array
+        self,
+        robot: Robot,
+        model: mujoco.MjModel,
+        *,
+        margin: float,
+        tilt: float,
+        standing: Array,
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Copy the model; nothing here touches a simulation.
 
@@ -69,7 +77,9 @@ class Reach:
             margin: The centre of mass stays this far inside the feet [m].
             tilt: A torso that leans further counts as tipped [rad].
             standing: qpos at rest in the start pose, shape (n_q,).
+            resting: Pairs of geoms that lie against one another and never count as touching.
         """
+        self._resting = {frozenset(pair) for pair in resting}
         self._model, self._margin, self._tilt, self._soles = copy(model), margin, tilt, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
@@ -105,10 +115,12 @@ class Reach:
         self._effort = np.array(
             [SHARED_EFFORT if name in robot.shared else 1.0 for name in robot.action_joints]
         )
-        self._seeds = [self.angles_of(robot, pose) for pose in robot.poses if pose != "neutral"][
+        self.seeds = [self.angles_of(robot, pose) for pose in robot.poses if pose != "neutral"][
             ::-1
         ]
         self._jacobian = np.zeros((3, self._model.nv))
+        self.met: tuple[int, int] = (-1, -1)
+        """The pair of geoms that the last `touches` found."""
 
     @staticmethod
     def angles_of(robot: Robot, pose: str) -> Array:
@@ -128,6 +140,8 @@ class Reach:
             contact.geom.tolist(), contact.dist.tolist(), contact.frame, contact.pos, strict=True
         ):
             tip, solid = not self._tip_geoms.isdisjoint(pair), not self._solid.isdisjoint(pair)
+            if frozenset(pair) in self._resting:
+                continue
             if self._sole_geoms.isdisjoint(pair) and gap < (FAR if tip and solid else BESIDE):
                 first, second = (self._rate(place, frame[:3], geom) for geom in pair)
                 found.append(Approach(first - second, gap, tip, solid))
@@ -184,9 +198,9 @@ class Reach:
         mujoco.mj_collision(self._model, self._data)
         contact = self._data.contact
         for pair, distance in zip(contact.geom.tolist(), contact.dist, strict=True):
-            if self._sole_geoms.isdisjoint(pair) and distance < (
-                own if self._solid.isdisjoint(pair) else clearance
-            ):
+            near = distance < (own if self._solid.isdisjoint(pair) else clearance)
+            if near and self._sole_geoms.isdisjoint(pair) and frozenset(pair) not in self._resting:
+                self.met = (pair[0], pair[1])
                 return True
         return False
 
@@ -229,7 +243,7 @@ class Reach:
                 do.
             clearance: Distance kept from obstacles, at most MARGIN [m].
         """
-        for start in self._seeds if seed is None else [seed]:
+        for start in self.seeds if seed is None else [seed]:
             angles = self.descend(goals, start, held=held)
             if angles is not None and self.legal(angles, clearance=clearance):
                 return angles
@@ -268,9 +282,15 @@ class Reach:
 
 
 def obstacles(model: mujoco.MjModel) -> Array:
-    """Ids of the solid geoms of the world that are not the floor: panels and spheres."""
+    """Ids of the solid geoms of the world that are not the floor and not the robot's own: panels
+    and spheres.
+    """
     bodies = model.geom_bodyid
     still = (bodies == 0) | (model.body_mocapid[bodies] >= 0)
+    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
+    if own >= 0:
+        first = int(model.tuple_adr[own])
+        still[model.tuple_objid[first : first + int(model.tuple_size[own])]] = False
     return np.flatnonzero(
         still & (model.geom_contype > 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
     )

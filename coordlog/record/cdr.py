@@ -1,8 +1,7 @@
 """NumPy columns ↔ CDR payloads, whole blocks of messages at once.
 
 Once a robot's lengths are known every message but Contacts has a fixed layout, so a block of
-messages is one structured
-array: encoding fills its columns over a template that already holds everything constant
+messages is one structured array: encoding fills its columns over a template that already holds everything constant
 (encapsulation, sequence lengths, padding), decoding is one `np.frombuffer` and a comparison with
 that template. Contacts are fixed for a given count.
 
@@ -15,27 +14,35 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import FormatError
+from coordlog.record.schema import Column, column
 from coordlog.spec import Layout, Message
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """CDR version 1, little-endian, no options."""
 
 TYPES = {
+    "int8": "<i1",
+    "uint8": "<u1",
+    "byte": "<u1",
+    "char": "<u1",
+    "int16": "<i2",
+    "uint16": "<u2",
     "int32": "<i4",
     "uint32": "<u4",
     "int64": "<i8",
+    "uint64": "<u8",
     "float32": "<f4",
     "float64": "<f8",
     "bool": "?",
 }
-"""NumPy types of the ROS 2 primitives in use; each is aligned to its size."""
+"""NumPy types of the ROS 2 primitives; each is aligned to its size."""
 
 _RAW = "raw bytes"  # a field that overlaps all others
 
@@ -82,7 +89,8 @@ class Codec:
             )
         if self.flags.size and raw[:, self.flags].max(initial=0) > 1:
             raise FormatError(f"{self.name}: a bool is neither 0 nor 1")
-        return {name: np.ascontiguousarray(rows[name]) for name in self.fields}
+        # np.ascontiguousarray would copy nothing of one row, and leave it unaligned
+        return {name: np.array(rows[name], order="C") for name in self.fields}
 
 
 class _Wire:
@@ -154,17 +162,65 @@ class _Wire:
         )
 
 
+Widths = tuple[int | None, ...]
+"""Length of each field of a message; None for a scalar."""
+
+
 @lru_cache(maxsize=256)
 def message_codec(message: Message, layout: Layout, contacts: int = 0) -> Codec:
-    """The codec of a message of `spec.MESSAGES` for one robot.
+    """The codec of a message of `spec` for one robot.
 
     `contacts` is the length c of Contacts.
     """
-    sizes: dict[str, int] = asdict(layout) | {"n_j": layout.n_j, "c": contacts}
+    symbols = {"n_j": layout.n_j, "c": contacts}
+    widths = tuple(
+        symbols[item.size] if item.size in symbols else layout.width(item)
+        for item in message.fields
+    )
+    return columns_codec(message.name, tuple(map(column, message.fields)), widths)
+
+
+@lru_cache(maxsize=256)
+def columns_codec(name: str, columns: tuple[Column, ...], widths: Widths) -> Codec:
+    """The codec of a message whose fields a schema text declares, for known lengths.
+
+    Raises:
+        FormatError: if a field is of a type whose size varies.
+    """
     wire = _Wire()
-    for item in message.fields:
-        wire.variable(item.name, item.type, sizes[item.size] if item.size else None)
-    return wire.codec(message.name)
+    for item, width in zip(columns, widths, strict=True):
+        if item.type not in TYPES:
+            raise FormatError(
+                f"schema {name}: expected fields of primitive types, got '{item}': "
+                "use a release that knows it"
+            )
+        wire.variable(item.name, item.type, width)
+    return wire.codec(name)
+
+
+def lengths(name: str, columns: tuple[Column, ...], payload: bytes | memoryview) -> Widths:
+    """The length of every field as one message has it.
+
+    Raises:
+        FormatError: if the message ends within a field, or a field is of a type whose size varies.
+    """
+    columns_codec(name, columns, tuple(0 if item.array else None for item in columns))
+    at, found = len(ENCAPSULATION), []
+    for item in columns:
+        size, width = np.dtype(TYPES[item.type]).itemsize, None
+        if item.array:
+            at = _aligned(at, 4) + 4
+            width = int.from_bytes(payload[at - 4 : at], "little")
+        count = 1 if width is None else width
+        at = (_aligned(at, size) if count else at) + count * size
+        if at > len(payload):
+            raise FormatError(f"{name}: a message of {len(payload)} bytes ends within {item.name}")
+        found.append(width)
+    return tuple(found)
+
+
+def _aligned(at: int, size: int) -> int:
+    return at + -(at - len(ENCAPSULATION)) % size
 
 
 @lru_cache(maxsize=64)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
 
 from coordlog.episode import Array
@@ -111,7 +112,7 @@ def decode(codec: Codec, records: Sequence[bytes | memoryview]) -> tuple[Array, 
         raise FormatError(
             f"{codec.name}: expected messages of one channel, got other records between them"
         )
-    return rows["log_time"], codec.decode(rows["payload"])
+    return rows["log_time"].copy(), codec.decode(rows["payload"])
 
 
 def compose(definitions: bytes, batches: Sequence[Batch]) -> Chunk:
@@ -165,11 +166,28 @@ def _message_index(batches: Sequence[Batch], offsets: Array) -> tuple[bytes, dic
     return bytes(index), index_offset
 
 
-def expand(content: memoryview, *, verify: bool = True) -> bytes:
-    """The uncompressed content of a chunk record (given without opcode and length).
+def uncompressed_size(content: memoryview) -> int:
+    """What a chunk record says that it expands to [bytes].
 
     Raises:
-        FormatError: if it cannot be expanded or, with `verify`, its CRC differs.
+        FormatError: if the record is not well formed.
+    """
+    try:
+        return int(_CHUNK_HEAD.unpack_from(content)[2])
+    except struct.error as error:
+        raise FormatError(f"chunk: cannot be expanded: {error}") from None
+
+
+def expand(content: memoryview, *, verify: bool = True, room: int = MAX_CHUNK) -> bytes:
+    """The uncompressed content of a chunk record (given without opcode and length).
+
+    Args:
+        content: The record.
+        verify: Refuse a chunk whose CRC differs; a CRC of zero is one that was not written.
+        room: Largest size that is expanded [bytes].
+
+    Raises:
+        FormatError: if it cannot be expanded, is larger than `room`, or its CRC differs.
     """
     try:
         _, _, size, crc = _CHUNK_HEAD.unpack_from(content)
@@ -180,21 +198,40 @@ def expand(content: memoryview, *, verify: bool = True) -> bytes:
             struct.unpack_from("<Q", content, at),
         )
         packed = content[at + 8 :]
-        if compression != COMPRESSION.encode() or stored != len(packed):
+        if stored != len(packed):
+            raise FormatError(f"chunk: expected {len(packed)} bytes, got {stored}")
+        if size > room:
             raise FormatError(
-                f"chunk: expected {len(packed)} bytes of {COMPRESSION}, got {stored} of {compression!r}"
+                f"chunk: says that it expands to {size} bytes, more than the {room} that are "
+                "left for a file of this size"
             )
-        declared = zstandard.frame_content_size(packed)
-        if declared != size or size > MAX_CHUNK:
-            raise FormatError(
-                f"chunk: expected {size} bytes uncompressed (at most {MAX_CHUNK}), its zstd frame says {declared}"
-            )
-        data = _decompressor().decompress(packed)
-    except (struct.error, zstandard.ZstdError) as error:
+        data = _expanded(compression, packed, size)
+    except (struct.error, zstandard.ZstdError, RuntimeError) as error:
         raise FormatError(f"chunk: cannot be expanded: {error}") from None
-    if verify and zlib.crc32(data) != crc:
+    if len(data) != size:
+        raise FormatError(f"chunk: expected {size} bytes uncompressed, got {len(data)} or more")
+    if verify and crc and zlib.crc32(data) != crc:
         raise FormatError(f"chunk: expected CRC {crc:08x}, got {zlib.crc32(data):08x}")
     return data
+
+
+def has_crc(content: memoryview) -> bool:
+    """Whether a chunk record carries the CRC of its content."""
+    return bool(_CHUNK_HEAD.unpack_from(content)[3])
+
+
+def _expanded(compression: bytes, packed: memoryview, size: int) -> bytes:
+    """At most one byte more than `size` of what is packed."""
+    if compression == COMPRESSION.encode():
+        said = zstandard.frame_content_size(packed)
+        if said not in (size, -1):
+            raise FormatError(f"chunk: expected {size} bytes, its zstd frame says {said}")
+        return _decompressor().decompress(packed, max_output_size=size + 1)
+    if compression == b"lz4":
+        return bytes(LZ4FrameDecompressor().decompress(bytes(packed), max_length=size + 1))
+    if compression == b"":
+        return bytes(packed)
+    raise FormatError(f"chunk: expected zstd, lz4 or no compression, got {compression!r}")
 
 
 def definitions(data: bytes) -> bytes:
@@ -207,11 +244,17 @@ def definitions(data: bytes) -> bytes:
     return data[:end]
 
 
-def split(data: bytes, start: int) -> dict[int, list[bytes]]:
-    """The message records of an expanded chunk by channel; `start` is where its definitions end.
+def split(data: bytes, start: int, defined: list[bytes] | None = None) -> dict[int, list[bytes]]:
+    """The message records of an expanded chunk by channel.
+
+    Args:
+        data: The chunk.
+        start: Where the definitions at its start end.
+        defined: Takes the schema and channel records between messages; without it there must be
+            none.
 
     Raises:
-        FormatError: if anything but messages follows, or they do not fill the chunk exactly.
+        FormatError: if anything else is in it, or the records do not fill the chunk exactly.
     """
     messages: dict[int, list[bytes]] = {}
     kinds: dict[
@@ -222,6 +265,10 @@ def split(data: bytes, start: int) -> dict[int, list[bytes]]:
         head = data[at : at + _MESSAGE_HEAD.size]
         if head not in kinds:
             opcode, length, channel = _MESSAGE_HEAD.unpack(head)
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and defined is not None:
+                defined.append(data[at : at + RECORD_HEAD.size + length])
+                at += RECORD_HEAD.size + length
+                continue
             if opcode != Opcode.MESSAGE:
                 raise FormatError(f"chunk: unexpected record {opcode:#x} at byte {at}")
             kinds[head] = messages.setdefault(channel, []), RECORD_HEAD.size + length
@@ -247,7 +294,7 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
         opcode, length, found = (
             _MESSAGE_HEAD.unpack_from(data, offsets[0]) if offsets else (Opcode.MESSAGE, 0, channel)
         )
-    except (struct.error, ValueError) as error:
+    except (struct.error, ValueError, OverflowError) as error:
         raise FormatError(f"message index: {error}") from None
     if (opcode, found) != (Opcode.MESSAGE, channel):
         raise FormatError(

@@ -29,6 +29,9 @@ from mcap.records import (
 from coordlog.record.chunk import COMPRESSION, Chunk
 from coordlog.record.records import FOOTER, MAGIC, RECORD_HEAD, pack, pack_metadata
 
+PROFILE = "ros2"
+"""MCAP's name for ros2msg schemas with CDR payloads; readers of ROS 2 bags ask for it."""
+
 
 class Topic(NamedTuple):
     """A topic's channel: its id, and the packed records of the channel and its schema."""
@@ -55,7 +58,7 @@ class Container:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._append(MAGIC)
-        self._append(pack(Header(profile="", library=library)))
+        self._append(pack(Header(profile=PROFILE, library=library)))
 
     def drain(self) -> bytes:
         """All bytes appended since the last call."""

@@ -7,15 +7,19 @@ which for `env["arms"]` is the order of columns.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import struct
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import lru_cache
 from typing import Any
 
-from coordlog.episode import Header, Json, Result
+from coordlog.episode import LAYOUT_KEYS, Header, Json, Result
 from coordlog.errors import FormatError, SpecError
-from coordlog.spec import SCHEMA_VERSION, Layout
+from coordlog.record import declared
+from coordlog.record.cdr import TYPES
+from coordlog.spec import READABLE, STEP, Layout, names
 
 PREFIX = "coordlog."
 EPISODE, ENV = PREFIX + "episode", PREFIX + "env"
@@ -23,15 +27,12 @@ RESULT = PREFIX + "result"
 HEADER_RECORDS = tuple(PREFIX + item.name for item in fields(Header))
 """Names of the metadata records that open a file, in order."""
 
-_RESULT_TYPES: dict[str, type] = {
-    item.name: {"int": int, "bool": bool, "str": str}.get(str(item.type), list)
-    for item in fields(Result)
+_TABLES = {
+    EPISODE: declared.EPISODE,
+    ENV: declared.ENV,
+    PREFIX + "policy": declared.POLICY,
+    PREFIX + "lineage": declared.LINEAGE,
 }
-
-MAX_WIDTH = 1 << 16
-"""Longest sequence of a message: a damaged layout must not exhaust the memory."""
-MAX_TIME = (1 << 63) - 1
-"""Latest start of an episode [ns since the epoch] that a log time can hold."""
 
 Strings = Mapping[str, str]
 
@@ -84,34 +85,74 @@ def decode_header(records: Mapping[str, Strings]) -> Header:
     missing = [name for name in HEADER_RECORDS if name not in records]
     if missing:
         raise FormatError(f"metadata {', '.join(missing)} missing: not a coordlog episode")
-    _require_episode(decode(records[EPISODE]))
-    _require_env(tuple(records[ENV].items()))
+    require_readable(records)
     return Header(*(decode(records[name]) for name in HEADER_RECORDS))
 
 
 def require_readable(records: Mapping[str, Strings]) -> None:
-    """Hold the records of a header that is about to be written to what `decode_header` wants,
-    without decoding them anew each time.
+    """Hold the records of a header to what is declared of them.
 
     Raises:
-        FormatError: as `decode_header`.
+        FormatError: naming the record and the key.
     """
     require_version(records[EPISODE])
-    _require_episode(decode(records[EPISODE]))
-    _require_env(tuple(records[ENV].items()))
+    for name in HEADER_RECORDS:
+        _require_declared(name, tuple(records[name].items()))
 
 
-def _require_episode(episode: Json) -> None:
-    _require(episode, {"start_time": int}, EPISODE)
-    _require_range({"start_time": episode["start_time"]}, MAX_TIME, EPISODE)
+@lru_cache(maxsize=64)
+def _require_declared(name: str, items: tuple[tuple[str, str], ...]) -> None:
+    """Most records are the same for all episodes of a run: judge them once."""
+    values = decode(dict(items))
+    declared.require(values, _TABLES[name], name)
+    if name == ENV:
+        declared.require(values["layout"], declared.LAYOUT, f"{ENV} layout")
+        _require_env(values)
 
 
-@lru_cache(maxsize=8)
-def _require_env(items: tuple[tuple[str, str], ...]) -> None:
-    """The record `coordlog.env` is the same for all episodes of a run: judge it once."""
-    env = dict(items)
-    decode_layout(env)
-    _require(decode(env), {"joints": list}, ENV)
+def _require_env(env: Json) -> None:
+    """Hold what one key of `coordlog.env` says of another to it."""
+    layout = _layout(env["layout"])
+    for joint in env["joints"]:
+        if joint["qpos"] >= layout.n_q or joint["qvel"] >= layout.n_v:
+            raise FormatError(
+                f"metadata {ENV}: 'joints': expected addresses below {layout.n_q} and "
+                f"{layout.n_v}, got {joint}"
+            )
+    for arm, indices in env["arms"].items():
+        if any(index >= layout.n_u for index in indices):
+            raise FormatError(
+                f"metadata {ENV}: 'arms': expected action indices below {layout.n_u}, got {arm}: "
+                f"{indices}"
+            )
+    for item in env.get("task", {}).get("fields", ()):
+        sizes = (*LAYOUT_KEYS, "n_j")
+        known = all(part.isdecimal() or part in sizes for part in item["size"].split("*"))
+        if not item["name"].isidentifier() or item["name"] in names(STEP.fields):
+            raise FormatError(
+                f"metadata {ENV}: 'task': expected a field with a name of its own, got {item}"
+            )
+        if item["type"] not in TYPES or item["when"] not in ("before", "after"):
+            raise FormatError(
+                f"metadata {ENV}: 'task': expected a field of a primitive type, before or after, "
+                f"got {item}"
+            )
+        if item["size"] and (not known or not _fits(item["size"])):
+            raise FormatError(
+                f"metadata {ENV}: 'task': expected a size of numbers and symbols, got {item}"
+            )
+
+
+def _fits(size: str) -> bool:
+    """Whether the numbers in a size are no larger than a message may be."""
+    product = 1
+    for part in size.split("*"):
+        product *= int(part[:9]) if part.isdecimal() else 1
+    return product <= declared.MAX_WIDTH
+
+
+def _layout(values: Json) -> Layout:
+    return Layout(**{key: values.get(key, 0) for key in LAYOUT_KEYS})
 
 
 def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
@@ -119,22 +160,16 @@ def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
     messages needs.
 
     Raises:
-        FormatError: if a key is missing.
+        FormatError: if the record is not as declared.
     """
-    return _decode_layout(env.get("layout", ""), env.get("arms", ""))
+    _require_declared(ENV, tuple(env.items()))
+    values = decode({key: env[key] for key in ("layout", "arms")})
+    return _layout(values["layout"]), tuple(values["arms"])
 
 
-@lru_cache(maxsize=64)
-def _decode_layout(layout: str, arms: str) -> tuple[Layout, tuple[str, ...]]:
-    values = decode({"layout": layout, "arms": arms})
-    _require(values, {"layout": dict, "arms": dict}, ENV)
-    _require(values["layout"], {item.name: int for item in fields(Layout)}, ENV + " layout")
-    _require_range(values["layout"], MAX_WIDTH, ENV + " layout")
-    return Layout(**values["layout"]), tuple(values["arms"])
-
-
-def require_version(episode: Strings) -> None:
-    """Hold the metadata record `coordlog.episode` to the schema version of this release.
+def require_version(episode: Strings) -> int:
+    """The schema version that the metadata record `coordlog.episode` says, if it is one that this
+    release reads.
 
     Raises:
         FormatError: if it is of another version, or says none.
@@ -142,38 +177,85 @@ def require_version(episode: Strings) -> None:
     version = episode.get("schema_version")
     if version is None:
         raise FormatError(f"metadata {EPISODE}: schema_version missing: not a coordlog episode")
-    if version != str(SCHEMA_VERSION):
+    if version in map(str, READABLE):
+        return int(version)
+    reads = f"this release reads versions {READABLE[0]} to {READABLE[-1]}"
+    if version.isdecimal() and int(version[:9]) > READABLE[-1]:
         raise FormatError(
-            f"schema version {version}; this release reads version {SCHEMA_VERSION}: use the coordlog that wrote it"
+            f"schema version {version}; {reads}: a release of coordlog that writes version "
+            f"{version}, or a later one, reads it (pip install --upgrade coordlog)"
         )
+    raise FormatError(f"schema version {version!r}; {reads}: the record is damaged")
 
 
 def encode_result(result: Result) -> dict[str, str]:
-    """The string map of the commit marker."""
+    """The string map of what a result says."""
     return encode(asdict(result))
 
 
 def decode_result(strings: Strings) -> Result:
-    """The inverse of `encode_result`.
+    """The inverse of `encode_result`; what else the record holds is left.
 
     Raises:
         FormatError: if a key is missing or holds a value of another type.
     """
     values = decode(strings)
-    _require(values, _RESULT_TYPES, RESULT)
+    declared.require(values, declared.RESULT, RESULT)
     values["returns"] = tuple(values["returns"])
-    return Result(**{name: values[name] for name in _RESULT_TYPES})
+    return Result(**{item.name: values[item.name] for item in fields(Result)})
 
 
-def _require(values: Json, kinds: Mapping[str, type], where: str) -> None:
-    for key, kind in kinds.items():
-        if type(values.get(key)) is not kind:
-            raise FormatError(
-                f"metadata {where}: '{key}': expected {kind.__name__}, got {values.get(key)!r}"
-            )
+def digest(values: Strings) -> str:
+    """sha256 of a metadata record: of its keys and values in the order of keys, each preceded by
+    its length as uint32.
+    """
+    parts = (text.encode() for pair in sorted(values.items()) for text in pair)
+    packed = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+    return hashlib.sha256(packed).hexdigest()
 
 
-def _require_range(values: Mapping[str, int], limit: int, where: str) -> None:
-    for key, value in values.items():
-        if not 0 <= value <= limit:
-            raise FormatError(f"metadata {where}: '{key}': expected 0 to {limit}, got {value}")
+def encode_commit(
+    result: Result,
+    *,
+    metadata: Mapping[str, Strings],
+    attachments: Mapping[str, str],
+    messages: Mapping[str, tuple[int, int]],
+) -> dict[str, str]:
+    """The string map of the commit marker: the result, what it vouches for, and its own seal.
+
+    Args:
+        result: How the episode ended.
+        metadata: The records that opened the file.
+        attachments: sha256 of each attachment, by name.
+        messages: Count and CRC-32 of the payloads of each topic that is not for looking alone.
+    """
+    strings = encode_result(result) | encode(
+        {
+            "metadata": {name: digest(values) for name, values in metadata.items()},
+            "attachments": dict(attachments),
+            "messages": {topic: list(pair) for topic, pair in messages.items()},
+        }
+    )
+    return strings | {"seal": digest(strings)}
+
+
+def vouched(records: Mapping[str, Strings]) -> Json:
+    """What the commit marker of a finished file vouches for, once its own seal and the metadata
+    records have been held to it; empty for files of version 1, which have no such thing.
+
+    Raises:
+        FormatError: if the marker or a record is not as it was written; names the record.
+    """
+    if require_version(records.get(EPISODE, {})) == 1:
+        return {}
+    strings = dict(records[RESULT])
+    values = decode(strings)
+    declared.require(values, declared.COMMIT, RESULT)
+    if strings.pop("seal") != digest(strings):
+        raise FormatError(f"metadata {RESULT}: the record is damaged: its seal is another")
+    for name, wanted in values["metadata"].items():
+        if name not in records:
+            raise FormatError(f"metadata {name} missing: the commit marker names it")
+        if digest(records[name]) != wanted:
+            raise FormatError(f"metadata {name}: the record is damaged: its digest is another")
+    return {key: values[key] for key in ("metadata", "attachments", "messages")}

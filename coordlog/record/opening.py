@@ -1,13 +1,18 @@
 """Opening a file as an episode: what is refused before a single message is looked at, and in which
 words.
+
+An episode is known by its `coordlog.` metadata records. In a file of our own layout they come
+first; one that another MCAP tool has written again may hold them anywhere between its chunks.
 """
 
 from __future__ import annotations
 
 import os
+import re
+import stat
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,10 +20,30 @@ from mcap.opcode import Opcode
 
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.addresses import fetch, is_elsewhere
-from coordlog.record.records import FOOTER, MAGIC, TAIL_SIZE, Span, walk
+from coordlog.record.records import (
+    FOOTER,
+    MAGIC,
+    TAIL_SIZE,
+    Span,
+    unpack_header,
+    unpack_metadata,
+    walk,
+)
 from coordlog.record.storage import translated
+from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
+
+OURS = "coordlog/"
+"""How the library that coordlog writes into a file's header starts; a version follows."""
+PREFIX = "coordlog."
+HEAD = 1 << 16
+"""Enough for the opening metadata of any robot we know; more is read where it is not."""
+_ORDER = re.compile(rb"\x01(\x0c{0,3}|\x0c{4}\x09*(\x06\x07*)*(\x0c(\x0f.*)?)?)\Z", re.DOTALL)
+"""Our records by opcode: header, four of metadata, attachments, chunks with their indexes, the
+commit marker, the end of the data; or the start of such."""
+BIG = 1 << 26
+"""A file of more bytes than this is looked at before all of it is read."""
 
 
 @contextmanager
@@ -47,8 +72,10 @@ def opened(path: File) -> Iterator[int]:
             return
         if os.path.isdir(path):
             raise FormatError("a folder, not an episode file; coordlog.open reads folders")
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # of a pipe: no wait
         try:
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise FormatError("expected a file, got a pipe, a socket or a device")
             yield fd
         finally:
             os.close(fd)
@@ -63,15 +90,66 @@ def load(path: File) -> bytes:
     """
     with opened(path) as fd:
         size = os.fstat(fd).st_size
-        data = os.pread(fd, size, 0)
-        while len(data) < size and (more := os.pread(fd, size - len(data), len(data))):
-            data += more
+        if size > BIG:
+            require_coordlog(os.pread(fd, HEAD, 0), whole=False)
+        data = read(fd, 0, size)
         require_coordlog(data)
         return data
 
 
-def require_coordlog(data: bytes | memoryview) -> None:
-    """Look at the first record of a file.
+def read(fd: int, start: int, stop: int) -> bytes:
+    """The bytes of a file from `start` to `stop`, or to its end."""
+    data = os.pread(fd, stop - start, start)
+    while len(data) < stop - start and (
+        more := os.pread(fd, stop - start - len(data), start + len(data))
+    ):
+        data += more
+    return data
+
+
+def writer_of(data: bytes | memoryview) -> str:
+    """Which program wrote a file that starts like this, as its first record says; "" if that cannot
+    be told.
+    """
+    span = next(walk(data), Span(0, 0, 0))
+    if data[: len(MAGIC)] != MAGIC or span.opcode != Opcode.HEADER:
+        return ""
+    try:
+        return unpack_header(data[span.start : span.end])[1]
+    except FormatError:
+        return ""
+
+
+def is_own(data: bytes | memoryview, spans: Sequence[Span] | None = None) -> bool:
+    """Whether a file that starts like this is of our own layout, as far as it goes: it says that
+    coordlog wrote it, and its records come in our order. Other tools may keep the name.
+
+    Args:
+        data: The file, or its start.
+        spans: Its records, where the caller has them.
+    """
+    spans = list(walk(data)) if spans is None else spans
+    kinds = bytes(span.opcode for span in spans)
+    if not writer_of(data).startswith(OURS) or not _ORDER.match(kinds):
+        return False
+    ends = [span for span in spans if span.opcode == Opcode.DATA_END]
+    return not ends or any(data[ends[0].start : ends[0].end])  # a CRC of zero is none
+
+
+def rewritten_by(data: bytes | memoryview) -> str:
+    """The other program that wrote this episode's bytes anew; "" if coordlog did."""
+    if is_own(data):
+        return ""
+    name = printable(writer_of(data))
+    return "another MCAP tool" if name.startswith(OURS) else name or "an unknown program"
+
+
+def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
+    """Look at how a file starts and, if another program wrote it, for an episode's metadata.
+
+    Args:
+        data: The file, or its start.
+        whole: Whether it is all of the file.
 
     Raises:
         FormatError: if it is empty, not MCAP, or another program's MCAP.
@@ -82,17 +160,40 @@ def require_coordlog(data: bytes | memoryview) -> None:
     if len(data) < len(MAGIC) and MAGIC.startswith(data):
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
     if data[: len(MAGIC)] != MAGIC:
-        raise FormatError("not an MCAP file; expected an episode written by coordlog")
-    span = next(walk(data), Span(0, 0, 0))
-    if span.opcode == 0:
-        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
-    content = bytes(data[span.start : span.end])
-    if span.opcode != Opcode.HEADER or b"coordlog/" not in content:
-        text = content.decode("ascii", "replace").strip("\0")
-        printable = "".join(letter if letter.isprintable() else " " for letter in text).strip()
+        what = recognise(data)
         raise FormatError(
-            f"an MCAP file, but not a coordlog episode: its header says '{printable}'"
+            f"not an MCAP file; expected an episode written by coordlog{what and ', got '}{what}"
         )
+    span = next(walk(data), Span(0, 0, 0))
+    if span.opcode == 0 and whole:
+        raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
+    if writer_of(data).startswith(OURS) or any(
+        name.startswith(PREFIX) for name in _metadata_names(data)
+    ):
+        return
+    if not whole and span.opcode == Opcode.HEADER and len(data) >= HEAD:
+        return  # an episode's records may come further on
+    said = printable(
+        bytes(data[span.start : min(span.end, span.start + 200)]).decode("ascii", "replace")
+    )
+    raise FormatError(
+        f"an MCAP file, but not a coordlog episode: its header says '{said}';"
+        " `coordlog import` takes what ROS 2 wrote"
+    )
+
+
+def printable(text: str) -> str:
+    """A text out of a file, without what would act on a terminal."""
+    return "".join(letter if letter.isprintable() else " " for letter in text.strip("\0")).strip()
+
+
+def _metadata_names(data: bytes | memoryview) -> Iterator[str]:
+    for span in walk(data):
+        if span.opcode == Opcode.METADATA:
+            try:
+                yield unpack_metadata(bytes(data[span.start : span.end]))[0]
+            except FormatError:
+                continue
 
 
 def summary_start(tail: bytes | memoryview, size: int) -> int:
@@ -119,6 +220,8 @@ def verify_summary(summary: memoryview) -> None:
         FormatError: if it differs.
     """
     crc = FOOTER.unpack_from(summary, len(summary) - TAIL_SIZE)[-1]
+    if crc == 0:  # another tool wrote none
+        return
     got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
     if crc != got:
         raise FormatError(

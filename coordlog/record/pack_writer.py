@@ -66,6 +66,10 @@ class PackWriter:
         shard, digest = self._digests[name]
         return digest or hashlib.sha256(self._pack.read(shard, name)).hexdigest()
 
+    def address(self, name: str) -> Path:
+        """Where a member of the pack is found."""
+        return self.path / self._digests[name][0] / name
+
     def append(self, name: str, data: bytes, *, mtime: int) -> Path:
         """Append one file; the address under which it is found.
 
@@ -81,7 +85,11 @@ class PackWriter:
         head = _head(name, len(data), mtime)
         padding = bytes(-len(data) % BLOCK)
         with translated(self._shard, "write", "what was packed before is intact"):
-            _write_all(self._fd, b"".join((head, data, padding)))
+            try:
+                _write_all(self._fd, b"".join((head, data, padding)))
+            except OSError:
+                os.ftruncate(self._fd, self._at)  # half a member is none
+                raise
         digest = hashlib.sha256(data).hexdigest()
         self._members.append(Member(self._at + len(head), len(data), digest, mtime, name))
         self._digests[name] = (self._shard.name, digest)

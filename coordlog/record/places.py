@@ -179,19 +179,14 @@ class Bucket:
         """Connect to nothing yet.
 
         Raises:
-            ConfigError: if obstore is not installed, or the address or the environment is not what
-                it wants.
+            ConfigError: if the address or the environment is not what the library wants.
         """
         scheme, rest = split_url(url)
         self.address = f"{scheme}://{rest}".rstrip("/")
         self._variables = SCHEMES[scheme]
-        try:
-            from obstore.exceptions import BaseError
-            from obstore.store import from_url
-        except ImportError:
-            raise ConfigError(
-                f"{self.address}: object storage needs obstore: pip install 'coordlog[cloud]'"
-            ) from None
+        from obstore.exceptions import BaseError
+        from obstore.store import from_url
+
         try:
             self._store = from_url(
                 self.address,

@@ -1,56 +1,61 @@
 """Episode files back to memory.
 
-`read_episode` takes the file in one read, walks its records, expands and splits the chunks, and
-decodes each topic with one `np.frombuffer`; every chunk's CRC is verified. `read_header`,
+`read_episode` takes the file in one read and decodes each topic with one `np.frombuffer`, by the
+fields that the file's own schema declares; every chunk's CRC is verified. `read_header`,
 `read_result` and `read_summary` touch only the two ends. A file that is not a finished coordlog
 episode is refused in one sentence that says what it is instead.
+
+What is handed out has been vouched for: the metadata by the digests of the commit marker (of
+version 1 by the CRC of the data section), the messages by the CRCs of their chunks or, where
+another tool left those out, of the commit marker.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
+import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
 from mcap.opcode import Opcode
 
-from coordlog.episode import Array, Episode, Header, Path, Result
+from coordlog.episode import Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.record.chunk import definitions, expand, indexed, split
-from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
+from coordlog.record.contents import MOST, Contents, contents, require_crc
+from coordlog.record.decoding import decode, require_header
 from coordlog.record.metadata import (
+    EPISODE,
     HEADER_RECORDS,
     RESULT,
     decode_header,
     decode_result,
     require_version,
+    vouched,
 )
 from coordlog.record.opening import (
+    HEAD,
     File,
+    is_own,
     load,
     naming,
     no_marker,
     opened,
+    read,
     require_coordlog,
     summary_start,
     verify_summary,
 )
 from coordlog.record.records import (
-    MAGIC,
+    DATA_END,
     RECORD_HEAD,
     TAIL_SIZE,
     unpack_attachment,
-    unpack_definitions,
     unpack_metadata,
     walk,
 )
-from coordlog.spec import CONTACTS, FINAL, KNOT, SPLINE, STEP
 
-_HEAD = (
-    1 << 16
-)  # enough for the opening metadata of any robot we know; more is read where it is not
+Records = Mapping[str, Mapping[str, str]]
 
 
 class Summary(NamedTuple):
@@ -62,39 +67,6 @@ class Summary(NamedTuple):
     """bytes"""
 
 
-@dataclass
-class Contents:
-    """The records of one file, expanded but not decoded; messages by topic."""
-
-    metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
-    messages: dict[str, list[bytes]] = field(default_factory=dict)
-    topics: dict[int, str] = field(default_factory=dict)
-    """topic of each channel defined so far"""
-
-    def add_chunk(self, data: bytes) -> None:
-        """Add all messages of an expanded chunk, and the channels that it defines."""
-        for channel, records in split(data, self.define(data)).items():
-            self._add(channel, records)
-
-    def add_indexed(self, data: bytes, index: memoryview, topics: frozenset[str]) -> None:
-        """Add the messages of one channel of an expanded chunk, given its message index, if it is
-        on one of these topics.
-        """
-        if self.topics.get(int.from_bytes(index[:2], "little")) in topics:
-            self._add(*indexed(data, index))
-
-    def define(self, data: bytes) -> int:
-        """Learn the channels that an expanded chunk defines; where its messages start."""
-        records = definitions(data)
-        self.topics |= {channel.id: channel.topic for channel in unpack_definitions(records)[1]}
-        return len(records)
-
-    def _add(self, channel: int, records: list[bytes]) -> None:
-        if channel not in self.topics:
-            raise FormatError(f"chunk: messages of an undefined channel {channel}")
-        self.messages.setdefault(self.topics[channel], []).extend(records)
-
-
 def read_header(path: File) -> Header:
     """The metadata an episode started with; of a part file too.
 
@@ -102,7 +74,10 @@ def read_header(path: File) -> Header:
         FormatError: if the file is not a coordlog episode of a version this release reads.
     """
     with opened(path) as fd:
-        return _header(fd)
+        records = _opening(fd, read(fd, 0, HEAD))
+        if not set(HEADER_RECORDS) <= set(records):
+            raise TruncatedError("ends within its opening metadata: nothing to recover")
+        return decode_header(records)
 
 
 def read_result(path: File) -> Result:
@@ -117,46 +92,115 @@ def read_result(path: File) -> Result:
 
 def read_summary(path: File) -> Summary:
     """Header, result and size of a finished episode, from a few small reads at both ends of the
-    file.
+    file; vouched for by the commit marker (a file of version 1 is read whole, for its CRC).
 
     Raises:
         TruncatedError: if there is no commit marker.
-        FormatError: if the file is not a coordlog episode of a version this release reads.
+        FormatError: if the file is not a coordlog episode of a version this release reads, or its
+            metadata are not what was written.
     """
     with opened(path) as fd:
-        header, size = _header(fd), os.fstat(fd).st_size
-        start = summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
-        summary = memoryview(os.pread(fd, size - start, start))
-        verify_summary(summary)
-        for span in walk(summary, 0):
-            offset, length = (
-                _metadata_index(summary[span.start : span.end], RESULT)
-                if span.opcode == Opcode.METADATA_INDEX
-                else (0, 0)
-            )
-            if length:
-                content = os.pread(fd, length, offset)[RECORD_HEAD.size :]
-                return Summary(header, decode_result(unpack_metadata(content)[1]), size)
-        raise TruncatedError(no_marker(size))
+        records, size = _ends(fd)
+        return Summary(decode_header(records), decode_result(records[RESULT]), size)
 
 
 def probe(path: File) -> int:
-    """Size in bytes of what looks like a finished episode, from one read at each end of the file.
+    """Size in bytes of what is a finished episode as far as both its ends tell.
 
     Raises:
         TruncatedError: if it does not end as a finished file.
-        FormatError: if it is not a coordlog episode of a version this release reads.
+        FormatError: as `read_summary`.
     """
-    with opened(path) as fd:
-        size, head = os.fstat(fd).st_size, memoryview(os.pread(fd, 4096, 0))
-        require_coordlog(head)
-        summary_start(os.pread(fd, TAIL_SIZE, max(size - TAIL_SIZE, 0)), size)
-        first = next((span for span in walk(head) if span.opcode == Opcode.METADATA), None)
-        if first is None:
-            _header(fd)
-        else:
-            require_version(unpack_metadata(bytes(head[first.start : first.end]))[1])
-        return size
+    return read_summary(path).size
+
+
+def _ends(fd: int) -> tuple[Records, int]:
+    """The metadata records of a finished file, vouched for, and its size."""
+    size = os.fstat(fd).st_size
+    head = read(fd, 0, HEAD)
+    require_coordlog(head, whole=size <= HEAD)
+    own = is_own(head)
+    if own and size > HEAD:
+        records = _opening(fd, head)
+        start = summary_start(read(fd, max(size - TAIL_SIZE, 0), size), size)
+        summary = memoryview(read(fd, start, size))
+        verify_summary(summary)
+        records |= _marker(fd, summary)
+    else:
+        data = head if size <= HEAD else _whole(fd, size)
+        records = metadata(data)
+        require_header(records)
+        require_version(records[EPISODE])
+        if own:
+            start = summary_start(data[-TAIL_SIZE:], size)
+            verify_summary(memoryview(data)[start:])
+    require_header(records)
+    require_version(records[EPISODE])
+    if RESULT not in records:
+        raise TruncatedError(no_marker(size))
+    if not vouched(records) and own:
+        _verify_data(fd, start)
+    return records, size
+
+
+def _whole(fd: int, size: int) -> bytes:
+    if size > MOST:
+        raise FormatError(f"an MCAP file of {size} bytes that coordlog did not write")
+    return read(fd, 0, size)
+
+
+def metadata(data: bytes) -> dict[str, Mapping[str, str]]:
+    """Every metadata record of a file, as it stands there.
+
+    Raises:
+        FormatError: if one is not well formed, or there are two of coordlog's with one name.
+    """
+    found, view = Contents(), memoryview(data)
+    for span in walk(view):
+        if span.opcode == Opcode.METADATA:
+            found.add_metadata(*unpack_metadata(bytes(view[span.start : span.end])))
+    return found.metadata
+
+
+def _marker(fd: int, summary: memoryview) -> dict[str, Mapping[str, str]]:
+    """The commit marker, found through the summary; nothing if there is none."""
+    for span in walk(summary, 0):
+        if span.opcode == Opcode.METADATA_INDEX:
+            offset, length = _metadata_index(summary[span.start : span.end], RESULT)
+            if length:
+                content = read(fd, offset, offset + length)[RECORD_HEAD.size :]
+                return {RESULT: unpack_metadata(content)[1]}
+    return {}
+
+
+def _verify_data(fd: int, start: int) -> None:
+    """Hold a data section that ends before `start` to its CRC."""
+    crc, at, stop = 0, 0, start - DATA_END.size
+    while at < stop and (data := os.pread(fd, min(stop - at, 1 << 20), at)):
+        crc, at = zlib.crc32(data, crc), at + len(data)
+    require_crc(os.pread(fd, DATA_END.size, stop), crc)
+
+
+def _opening(fd: int, head: bytes) -> dict[str, Mapping[str, str]]:
+    """The metadata records that open a file; of one that another tool wrote, all there are."""
+    size = os.fstat(fd).st_size
+    if not is_own(head):
+        data = head if size <= len(head) else _whole(fd, size)
+        require_coordlog(data)
+        return metadata(data)
+    for data in (head, b""):
+        view = memoryview(data or read(fd, 0, size))
+        require_coordlog(view)
+        records: dict[str, Mapping[str, str]] = {}
+        for span in walk(view):
+            if span.opcode == Opcode.METADATA:
+                name, values = unpack_metadata(bytes(view[span.start : span.end]))
+                records[name] = values
+            elif records:
+                return records
+        if set(HEADER_RECORDS) <= set(records):
+            return records
+    return records
 
 
 def read_episode(path: File, *, verify: bool = True) -> Episode:
@@ -164,8 +208,8 @@ def read_episode(path: File, *, verify: bool = True) -> Episode:
 
     Args:
         path: The file.
-        verify: Refuse a chunk whose CRC differs; False decodes it all the same, to find out what is
-            damaged.
+        verify: Refuse what no CRC or digest vouches for; False decodes it all the same, to find
+            out what is damaged.
 
     Raises:
         TruncatedError: if there is no commit marker.
@@ -173,120 +217,40 @@ def read_episode(path: File, *, verify: bool = True) -> Episode:
     """
     data = load(path)
     with naming(path):
-        return decode(contents(data, verify=verify))
+        return decode(contents(data, verify=verify), verify=verify)
 
 
 def read_attachments(path: File) -> dict[str, bytes]:
-    """The attachments of an episode, finished or not, by name; CRCs verified.
+    """The attachments of an episode, finished or not, by name; CRCs verified, and digests where
+    the commit marker has them.
 
     Raises:
         FormatError: if the file is not a coordlog episode, or an attachment is damaged.
     """
-    data = memoryview(load(path))
+    data = load(path)
     with naming(path):
-        found = [
-            unpack_attachment(data[span.start : span.end])
-            for span in walk(data)
-            if span.opcode == Opcode.ATTACHMENT
-        ]
-    return dict(found)
+        return attachments(data)
 
 
-def contents(data: bytes, *, verify: bool = True, only: frozenset[str] | None = None) -> Contents:
-    """The records of a finished file.
-
-    Args:
-        data: All of its bytes.
-        verify: Refuse a chunk whose CRC differs.
-        only: Look at these topics alone, found through the message indexes; their messages must be
-            of one length.
+def attachments(data: bytes) -> dict[str, bytes]:
+    """The attachments of a file, given its bytes; see `read_attachments`.
 
     Raises:
-        TruncatedError: if there is no commit marker.
-        FormatError: if a record is damaged.
+        FormatError: if one is damaged, or missing though the commit marker names it.
     """
-    view, found, chunk, at = memoryview(data), Contents(), b"", len(MAGIC)
-    stop = summary_start(view[-TAIL_SIZE:], len(data))
-    for span in walk(view, stop=stop):
-        content, at = view[span.start : span.end], span.end
-        if span.opcode == Opcode.METADATA:
-            name, values = unpack_metadata(bytes(content))
-            found.metadata[name] = values
-        elif span.opcode == Opcode.CHUNK:
-            chunk = expand(content, verify=verify)
-            if only is None:
-                found.add_chunk(chunk)
-            else:
-                found.define(chunk)
-        elif span.opcode == Opcode.MESSAGE_INDEX and only is not None:
-            found.add_indexed(chunk, content, only)
-    if at != stop:
-        raise FormatError(
-            f"the record at byte {at} is damaged; `coordlog recover` keeps what comes before it"
-        )
+    view, found = memoryview(data), {}
+    for span in walk(view):
+        if span.opcode == Opcode.ATTACHMENT:
+            name, content = unpack_attachment(view[span.start : span.end])
+            found[name] = content
+    records = metadata(data)
+    if RESULT in records:
+        for name, wanted in vouched(records).get("attachments", {}).items():
+            if name not in found:
+                raise FormatError(f"attachment {name!r} missing: the commit marker names it")
+            if hashlib.sha256(found[name]).hexdigest() != wanted:
+                raise FormatError(f"attachment {name!r}: damaged: its digest is another")
     return found
-
-
-def decode(found: Contents) -> Episode:
-    """The episode out of a file's records.
-
-    Raises:
-        FormatError: if messages are missing, of another size, or not in order.
-    """
-    header = decode_header(found.metadata)
-    if RESULT not in found.metadata:
-        raise TruncatedError(
-            "ends without its commit marker; recover what is complete with `coordlog recover`"
-        )
-    result = decode_result(found.metadata[RESULT])
-    layout, messages = header.layout, found.messages
-    steps = decode_steps(messages.get(STEP.topic, []), layout)
-    final = decode_final(messages.get(FINAL.topic, []), layout)
-    require_order(steps["step"], final["step"], np.array([result.length]))
-    both = {
-        item.name: np.concatenate([steps.pop(item.name), final[item.name]]) for item in FINAL.fields
-    }
-    columns: dict[str, Array] = {**steps, **both}
-    del columns["step"]
-    path: Path | None = None
-    if KNOT.topic in messages and SPLINE.topic in messages:
-        path = decode_path(messages[KNOT.topic], messages[SPLINE.topic], layout)
-    contacts = decode_contacts(messages.get(CONTACTS.topic, []), layout)
-    return Episode(header=header, result=result, contacts=contacts, path=path, **columns)
-
-
-def require_order(steps: Array, finals: Array, lengths: Array) -> None:
-    """Hold the step numbers of one or more episodes to 0, 1, … and their final states to the
-    lengths.
-
-    Raises:
-        FormatError: naming the first step that is not the next one.
-    """
-    total = int(lengths.sum())
-    if len(finals) != len(lengths) or (finals != lengths).any() or len(steps) != total:
-        raise FormatError(
-            f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and final states {finals.tolist()}"
-        )
-    wanted = np.arange(total) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    if (steps != wanted).any():
-        row = int(np.flatnonzero(steps != wanted)[0])
-        raise FormatError(f"step: expected {wanted[row]}, got {steps[row]}")
-
-
-def _header(fd: int) -> Header:
-    for size in (_HEAD, os.fstat(fd).st_size):
-        data = memoryview(os.pread(fd, size, 0))
-        require_coordlog(data)
-        records: dict[str, Mapping[str, str]] = {}
-        for span in walk(data):
-            if span.opcode == Opcode.METADATA:
-                name, values = unpack_metadata(bytes(data[span.start : span.end]))
-                records[name] = values
-            elif records:
-                return decode_header(records)
-        if set(HEADER_RECORDS) <= set(records):
-            return decode_header(records)
-    raise TruncatedError("ends within its opening metadata: nothing to recover")
 
 
 def _metadata_index(content: memoryview, name: str) -> tuple[int, int]:

@@ -21,14 +21,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordlog.contracts import Outcome, Problem
-from coordlog.episode import CONTACT, Array, Header, Json, Result
+from coordlog.episode import CONTACT, FIELD_KEYS, KINDS, Array, Header, Json, Result
 from coordlog.errors import CoordlogError, StorageError
+from coordlog.record.display import Shown
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter
+from coordlog.sim.description import Description
 from coordlog.sim.env import BatchEnv
-from coordlog.spec import SCHEMA_VERSION, STEP, after, before, names
+from coordlog.sim.inputs import Inputs
+from coordlog.spec import INPUTS, SCHEMA_VERSION
+from coordlog.tasks.scene import sphere_geom
 
-BEFORE, LED_TO = names(before(STEP.fields[1:])), names(after(STEP.fields))
 BRANCH = "branch"
 """The lineage's name for an episode that begins in the middle of another."""
 BACKLOG = 512
@@ -79,7 +82,9 @@ class Recorder:
         """
         self._env, self._folder, self._policy, self._display = env, folder, policy, display
         self._epoch, self._finished = epoch, finished
-        self._describe = env.describe()
+        self._describe = _described(env)
+        self._shown = Description(env.task.model) if display else None
+        self._inputs = Inputs(env.task.model, n=env.n)
         self._resumed = bool(run)
         self.run = run or _run_id(self._describe, policy, env.start, epoch)
         try:
@@ -89,6 +94,8 @@ class Recorder:
         self._writers: list[EpisodeWriter | None] = [None] * env.n
         self._filled = np.zeros(env.n, dtype=np.int64)
         self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
+        self._changes: list[list[dict[str, Array]]] = [[] for _ in range(env.n)]
+        self._sent = np.zeros(env.n, dtype=np.int64)
         self._rows = self._buffers()
         self._stepping = False
         self.seconds = 0.0
@@ -120,8 +127,9 @@ class Recorder:
         self._env.reset(ids, problems)
         for slot, problem in zip(ids, problems, strict=True):
             header, attachments = self._header(problem), self._env.attachments(int(slot))
-            self._filled[slot] = 0
-            self._writers[slot] = self._open(header, attachments)
+            self._filled[slot] = self._sent[slot] = 0
+            self._writers[slot] = self._open(header, attachments, self._show(int(slot)))
+        self._inputs.begin(ids, self._env.physics.rows)
 
     def step(self, action: Array, ids: Array) -> Outcome:
         """Step the environment, and record what was and what it led to.
@@ -133,13 +141,14 @@ class Recorder:
         at = self._filled[ids]
         self._stepping = True
         self._rows["action"][ids, at] = action
-        for name, values in self._present(ids).items():
+        for name, values in self._env.present(ids).items():
             self._rows[name][ids, at] = values
+        self._watch(ids)
         stepped = time.perf_counter()
         outcome = self._env.step(action, ids)
         back = time.perf_counter()
-        for name in LED_TO:
-            self._rows[name][ids, at] = getattr(outcome, name)
+        for name, values in outcome.columns.items():
+            self._rows[name][ids, at] = values
         self._collect(ids, outcome)
         self._filled[ids] += ~outcome.diverged
         self._stepping = False
@@ -186,20 +195,32 @@ class Recorder:
                 raise
 
     def _buffers(self) -> dict[str, Array]:
-        layout = self._env.layout
-        fields = [item for item in STEP.fields if item.name != "step"]
+        header = Header({"schema_version": SCHEMA_VERSION}, self._describe, self._policy)
+        layout = header.layout
         return {
             item.name: np.zeros((self.n, *layout.shape(item, BLOCK)), dtype=item.type)
-            for item in fields
+            for item in header.fields
         }
 
-    def _present(self, ids: Array) -> dict[str, Array]:
-        simulation = self._env.simulation
-        return {name: getattr(simulation, name)[ids] for name in BEFORE}
+    def _show(self, slot: int) -> Shown | None:
+        """What viewers see of the episode that starts in a slot."""
+        if self._shown is None:
+            return None
+        radii = self._env.simulation.radii[slot]
+        spheres = {sphere_geom(i): float(radius) for i, radius in enumerate(radii)}
+        return Shown(self._shown, self._env.physics.rows[slot].copy(), spheres)
+
+    def _watch(self, ids: Array) -> None:
+        """Keep what else the physics is given in this step, where that has changed."""
+        for row in np.flatnonzero(self._inputs.changed(ids, self._env.physics.rows)):
+            slot = int(ids[row])
+            step = int(self._env.simulation.steps[slot])
+            self._changes[slot].append(self._inputs.message(slot, step))
 
     def _collect(self, ids: Array, outcome: Outcome) -> None:
         """Keep the contacts of this step."""
-        for row in np.flatnonzero(outcome.collision & ~outcome.diverged):
+        touched = np.array([len(rows) for rows in outcome.contacts])
+        for row in np.flatnonzero((touched > 0) & ~outcome.diverged):
             rows = outcome.contacts[row].copy()
             rows["step"] = self._env.simulation.steps[ids[row]] - 1
             self._contacts[ids[row]].append(rows)
@@ -224,7 +245,7 @@ class Recorder:
         """Hand the collected steps of a slot to the writing thread."""
         writer, n = self._writers[slot], int(self._filled[slot])
         if writer is None:
-            self._contacts[slot], self._filled[slot] = [], 0
+            self._contacts[slot], self._changes[slot], self._filled[slot] = [], [], 0
         elif n:
             columns = {name: values[slot, :n].copy() for name, values in self._rows.items()}
             contacts = (
@@ -232,9 +253,11 @@ class Recorder:
                 if self._contacts[slot]
                 else np.zeros(0, dtype=CONTACT)
             )
-            self._contacts[slot] = []
+            self._sent[slot] += n
+            inputs = _stacked(self._changes[slot], int(self._sent[slot]))
+            self._contacts[slot], self._changes[slot] = [], []
             self._filled[slot] = 0
-            self._submit(_write, writer, columns, contacts)
+            self._submit(_write, writer, columns, contacts, inputs)
 
     def _end(self, slot: int, *, aborted: str, before: bool = False) -> None:
         """Finish a slot's file.
@@ -244,11 +267,12 @@ class Recorder:
         writer = self._writers[slot]
         at = int(self._filled[slot])
         if before or self._stepping:
-            final = {name: self._rows[name][slot, at].copy() for name in BEFORE}
+            states = self._env.present(np.array([slot]))
+            final = {name: self._rows[name][slot, at].copy() for name in states}
         else:
             final = {
                 name: np.array(values[0])
-                for name, values in self._present(np.array([slot])).items()
+                for name, values in self._env.present(np.array([slot])).items()
             }
         self._flush(slot)
         self._writers[slot] = None
@@ -290,6 +314,7 @@ class Recorder:
             name += f"/{branch.parent}/{len(branch.actions)}"
         episode = {
             "schema_version": SCHEMA_VERSION,
+            "kind": KINDS[0],
             "id": hashlib.sha256(f"{self.run}/{name}".encode()).hexdigest()[:16],
             "run": self.run,
             "robot": env.scene.robot.name,
@@ -312,7 +337,9 @@ class Recorder:
         }
         return Header(episode, self._describe, self._policy, lineage)
 
-    def _open(self, header: Header, attachments: dict[str, bytes]) -> EpisodeWriter | None:
+    def _open(
+        self, header: Header, attachments: dict[str, bytes], shown: Shown | None
+    ) -> EpisodeWriter | None:
         """A writer under the first free name: what another run has written is never in the way and
         never replaced.
 
@@ -328,15 +355,37 @@ class Recorder:
         while True:
             path = self._folder / (f"{stem}.mcap" if attempt == 1 else f"{stem}-{attempt}.mcap")
             try:
-                return EpisodeWriter(path, header, attachments=attachments, display=self._display)
+                return EpisodeWriter(
+                    path, header, attachments=attachments, display=self._display, shown=shown
+                )
             except StorageError:
                 if not path.exists() and not path.with_name(path.name + PART).exists():
                     raise
                 attempt += 1
 
 
-def _write(writer: EpisodeWriter, columns: dict[str, Array], contacts: Array) -> None:
-    writer.write_steps(writer.length, columns, contacts=contacts)
+def _described(env: BatchEnv) -> Json:
+    """The `coordlog.env` record, with the fields that the task declares."""
+    said = env.describe()
+    fields = [{key: getattr(item, key) for key in FIELD_KEYS} for item in env.fields]
+    return said | {"task": said["task"] | {"fields": fields}}
+
+
+def _stacked(rows: list[dict[str, Array]], stop: int) -> dict[str, Array] | None:
+    """Changes of inputs before a step as columns; None without any."""
+    rows = [row for row in rows if row["step"][0] < stop]
+    if not rows:
+        return None
+    return {item.name: np.concatenate([row[item.name] for row in rows]) for item in INPUTS.fields}
+
+
+def _write(
+    writer: EpisodeWriter,
+    columns: dict[str, Array],
+    contacts: Array,
+    inputs: dict[str, Array] | None,
+) -> None:
+    writer.write_steps(writer.length, columns, contacts=contacts, inputs=inputs)
 
 
 def _run_id(describe: Json, policy: Json, start: str, epoch: int | None) -> str:

@@ -67,6 +67,16 @@ def pack_metadata(name: str, values: Mapping[str, str]) -> bytes:
     return RECORD_HEAD.pack(Opcode.METADATA, len(content)) + content
 
 
+def unpack_header(content: bytes | memoryview) -> tuple[str, str]:
+    """Profile and library of an MCAP header: what kind of file, and which program wrote it.
+
+    Raises:
+        FormatError: if the record is not well formed.
+    """
+    profile, at = _string(content, 0)
+    return profile, _string(content, at)[0]
+
+
 @lru_cache(maxsize=64)
 def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     """Name and string map of a metadata record; most of them are the same in every file of a run.
@@ -101,7 +111,7 @@ def unpack_attachment(content: memoryview) -> tuple[str, bytes]:
             f"attachment {name!r}: expected {len(content) - at - 12} bytes, got {size}"
         )
     (crc,) = _unpack("<I", content, len(content) - 4)
-    if crc != zlib.crc32(content[:-4]):
+    if crc and crc != zlib.crc32(content[:-4]):  # zero: none was written
         raise FormatError(
             f"attachment {name!r}: expected CRC {crc:08x}, got {zlib.crc32(content[:-4]):08x}"
         )

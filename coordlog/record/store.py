@@ -7,6 +7,7 @@ under a name that is free; it never replaces anything.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -124,11 +125,12 @@ class PackStore(Store):
         return listed(Path(self.address))
 
     def path(self, name: str) -> Path:
-        """The address of an episode: PACK/SHARD/NAME."""
+        """The address of an episode, its name as `list` gives it: PACK/SHARD/NAME."""
         return Path(self.address) / name
 
     def publish(self, name: str, part: Path) -> Path:
-        """Append a file to the last shard, durably, then delete it.
+        """Append a file to the last shard, durably, then delete it; the same bytes under the same
+        name are not appended again.
 
         Raises:
             StorageError: if the pack has the name, or the file system refuses; the file stays.
@@ -142,8 +144,11 @@ class PackStore(Store):
             self._writer = PackWriter(self.address, shard_bytes=self._shard_bytes)
         with translated(part, "read"):
             data, mtime = part.read_bytes(), int(part.stat().st_mtime)
-        path = self._writer.append(name, data, mtime=mtime)
-        self._writer.sync()
+        if self._writer.digest(name) == hashlib.sha256(data).hexdigest():
+            path = self._writer.address(name)
+        else:
+            path = self._writer.append(name, data, mtime=mtime)
+            self._writer.sync()
         with translated(part, "delete the file"):
             part.unlink()
         return path

@@ -5,21 +5,50 @@ afterwards.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
-from coordlog.episode import Array, Result
+from coordlog.contracts import Task
+from coordlog.episode import Array, Header, Json, Result
+from coordlog.errors import ConfigError
+from coordlog.tasks.progress import Progress
+from coordlog.tasks.registry import task_of
+
+
+def task_here(header: Header) -> Task | None:
+    """The task of a log; None where it is not installed, or its constants are not such as it knows."""
+    if not header.task:
+        return None
+    said = {key: header.env.get(key) for key in ("task", "config", "reward")}
+    if said["task"] is None:
+        del said["task"]
+    return _task(json.dumps(said))
+
+
+@lru_cache(maxsize=64)
+def _task(env: str) -> Task | None:
+    said: Json = json.loads(env)
+    try:
+        return task_of(said)
+    except ConfigError:
+        return None
 
 
 class Tally:
-    """What the result says about the steps, kept up block by block."""
+    """What the result says about the steps, kept up block by block.
 
-    def __init__(self, k: int) -> None:
+    An episode of no task, or of one that is not installed, is no success.
+    """
+
+    def __init__(self, header: Header) -> None:
         self.length = 0
-        self.returns = np.zeros(k)
-        self.success, self.spoiled = False, False
+        self.returns = np.zeros(header.layout.k)
         self.terminated, self.truncated = False, False
+        task = task_here(header)
+        self._progress = None if task is None else Progress(task, 1)
         self._digest = hashlib.sha256()
 
     def add(self, columns: Mapping[str, Array]) -> None:
@@ -29,10 +58,11 @@ class Tally:
         """
         self.length += len(columns["reward"])
         self.returns = np.add.accumulate(np.vstack([self.returns, columns["reward"]]))[-1]
-        self.success = self.success or bool(columns["goal"].all(axis=1).any())
-        self.spoiled = self.spoiled or bool(
-            columns["collision"].any() or columns["instability"].any()
-        )
+        if self._progress is not None:
+            try:
+                self._progress.block(columns)
+            except KeyError:  # a tool has left the task's topic out
+                self._progress = None
         self.terminated, self.truncated = (
             bool(columns["terminated"][-1]),
             bool(columns["truncated"][-1]),
@@ -45,11 +75,13 @@ class Tally:
 
     def result(self, aborted: str) -> Result:
         """The result so far."""
+        one = np.array([0])
+        progress = self._progress if self.length else None
         return Result(
             length=self.length,
             returns=tuple(self.returns.tolist()),
-            success=self.success,
-            clean=self.success and not self.spoiled,
+            success=progress is not None and bool(progress.success(one)[0]),
+            clean=progress is not None and bool(progress.clean(one)[0]),
             terminated=self.terminated,
             truncated=self.truncated,
             aborted=aborted,

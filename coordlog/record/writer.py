@@ -8,6 +8,7 @@ Identical input gives identical bytes.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path as FilePath
@@ -19,12 +20,14 @@ from coordlog.episode import CONTACT, Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, SpecError
 from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
+from coordlog.record.decoding import payload_crc
+from coordlog.record.display import Shown
 from coordlog.record.messages import Columns, Encoder
-from coordlog.record.metadata import RESULT, encode_header, encode_result, require_readable
+from coordlog.record.metadata import RESULT, encode_commit, encode_header, require_readable
 from coordlog.record.storage import PartFile
 from coordlog.record.tally import Tally
-from coordlog.record.topics import topics
-from coordlog.spec import FINAL, STEP, Field
+from coordlog.record.topics import is_logged, topics
+from coordlog.spec import CORE, INPUTS, Field, before
 from coordlog.version import __version__
 
 LIBRARY = f"coordlog/{__version__}"
@@ -49,29 +52,41 @@ class EpisodeWriter:
         *,
         attachments: Mapping[str, bytes],
         display: bool,
+        shown: Shown | None = None,
     ) -> None:
         """Create the part file and write everything known at the start.
 
         Args:
             path: Name of the finished file, ending in `.mcap`.
             header: Metadata of the episode; `env["joints"]` lists {name, qpos, qvel} of the joints
-                to display.
+                to display. One of version 1 is written as one of this version.
             attachments: Content by name.
-            display: Also write /joint_states and /coordlog/arm/NAME, for viewers.
+            display: Also write /robot_description, /tf, /joint_states and /coordlog/arm/NAME, for
+                viewers.
+            shown: What the first two say, where the caller has it; otherwise it is made from the
+                attached model, and without a model there are none.
 
         Raises:
             StorageError: if the file exists or cannot be written.
             SpecError: if the header cannot be written or read back.
         """
+        header = header.current()
         metadata = encode_header(header)
         try:
             require_readable(metadata)
         except FormatError as error:
             raise SpecError(f"header: {error}") from None
         self.header = header
-        self._encoder = Encoder(header, display=display)
-        self._tally = Tally(header.layout.k)
-        self._topics = topics(header.arms)
+        if display and shown is None:
+            shown = Shown.of(attachments)
+        self._encoder = Encoder(header, display=display, shown=shown if display else None)
+        self._tally = Tally(header)
+        self._topics = topics(header)
+        self._metadata = metadata
+        self._attached = {
+            name: hashlib.sha256(content).hexdigest() for name, content in attachments.items()
+        }
+        self._messages: dict[str, tuple[int, int]] = {}
         self._container = Container(LIBRARY)
         for name, values in metadata.items():
             self._container.add_metadata(name, values)
@@ -99,14 +114,22 @@ class EpisodeWriter:
         return self._tally.length
 
     def write_steps(
-        self, first_step: int, columns: Columns, *, contacts: Array = _NO_CONTACTS
+        self,
+        first_step: int,
+        columns: Columns,
+        *,
+        contacts: Array = _NO_CONTACTS,
+        inputs: Columns | None = None,
     ) -> None:
         """Append a block of steps as one chunk and hand it to the operating system.
 
         Args:
             first_step: Index of the first row: as many steps as were written before.
-            columns: The fields of `spec.STEP` but `step`, each (n, …), n ≥ 1.
+            columns: The fields of the header (`Header.fields`), each (n, …), n ≥ 1; of its task all
+                or none.
             contacts: CONTACT rows of these steps, sorted by step.
+            inputs: What else the physics was given in these steps, when it changed: columns of
+                `spec.INPUTS`, sorted by step and substep.
 
         Raises:
             SpecError: if a column is missing or of another shape or type, or the steps do not
@@ -114,13 +137,15 @@ class EpisodeWriter:
             StorageError: if the file system refuses; what came before stays in the part file.
         """
         n = len(columns["time"])
-        self._validate(STEP.fields[1:], columns, n)
+        self._validate(self.header.fields, columns, n)
         if first_step != self.length or n == 0:
             raise SpecError(
                 f"first_step: expected {self.length} and at least one row, got {first_step} and {n}"
             )
         _validate_contacts(contacts, first_step, first_step + n)
-        self._write(self._encoder.steps(first_step, columns, contacts))
+        if inputs is not None:
+            _validate_inputs(inputs, first_step, first_step + n)
+        self._write(self._encoder.steps(first_step, columns, contacts, inputs))
         self._tally.add(columns)
 
     def finish(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
@@ -128,7 +153,8 @@ class EpisodeWriter:
         `publish`.
 
         Args:
-            final: time, qpos, qvel, state after the last action, without a step axis.
+            final: The fields that hold before an action (`spec.before`), after the last one,
+                without a step axis.
             aborted: Why recording stopped before the episode ended; "" if it ended.
             path: The smoothed path that was executed, if this is one.
 
@@ -149,15 +175,26 @@ class EpisodeWriter:
 
         The part file is then complete.
         """
-        row = {item.name: np.asarray(final[item.name])[None] for item in FINAL.fields[1:]}
-        self._validate(FINAL.fields[1:], row, 1)
-        batches = {FINAL.topic: self._encoder.final(self.length, row)}
+        items = before(self.header.fields)
+        row = {
+            item.name: np.asarray(final[item.name])[None] for item in items if item.name in final
+        }
+        self._validate(items, row, 1)
+        batches = self._encoder.final(self.length, row)
         if path is not None:
             batches |= self._encoder.path(path)
         self._tally.add_states(row)
         result = self._tally.result(aborted)
         self._add(batches)
-        self._container.add_metadata(RESULT, encode_result(result))
+        self._container.add_metadata(
+            RESULT,
+            encode_commit(
+                result,
+                metadata=self._metadata,
+                attachments=self._attached,
+                messages=self._messages,
+            ),
+        )
         self._container.finish()
         self._flush()
         return result
@@ -199,6 +236,11 @@ class EpisodeWriter:
         self._flush()
 
     def _add(self, batches: dict[str, Batch]) -> None:
+        for topic, batch in batches.items():
+            if is_logged(topic):
+                count, crc = self._messages.get(topic, (0, 0))
+                records = batch.records
+                self._messages[topic] = (count + len(records), payload_crc(records, crc))
         definitions = b"".join(self._container.define(self._topics[topic]) for topic in batches)
         self._container.add_chunk(compose(definitions, list(batches.values())))
 
@@ -206,7 +248,10 @@ class EpisodeWriter:
         self._file.append(self._container.drain())
 
     def _validate(self, items: tuple[Field, ...], columns: Columns, n: int) -> None:
+        task = any(item.owner != CORE and item.name in columns for item in items)
         for item in items:
+            if item.owner != CORE and not task:
+                continue
             wanted, array = self._encoder.layout.shape(item, n), columns.get(item.name)
             if array is None or array.shape != wanted or array.dtype != np.dtype(item.type):
                 got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
@@ -223,6 +268,28 @@ def _validate_contacts(contacts: Array, first: int, stop: int) -> None:
         )
 
 
+def _validate_inputs(inputs: Columns, first: int, stop: int) -> None:
+    n = len(inputs.get("step", ()))
+    for item in INPUTS.fields:
+        array = inputs.get(item.name)
+        fits = array is not None and len(array) == n and array.ndim == 1 + bool(item.size)
+        if array is None or not fits or array.dtype != np.dtype(item.type):
+            got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
+            raise SpecError(f"inputs: {item.name}: expected {n} rows of {item.type}, got {got}")
+    order = inputs["step"] * (1 << 20) + inputs["substep"]
+    if n and (
+        inputs["step"][0] < first or inputs["step"][-1] >= stop or (np.diff(order) <= 0).any()
+    ):
+        raise SpecError(f"inputs: expected steps {first} to {stop - 1} in order, each change once")
+
+
+def _inputs_between(inputs: Columns, first: int, stop: int) -> Columns | None:
+    if not inputs:
+        return None
+    inside = (inputs["step"] >= first) & (inputs["step"] < stop)
+    return {name: values[inside] for name, values in inputs.items()}
+
+
 def write_episode(
     path: str | PathLike[str], episode: Episode, *, attachments: Mapping[str, bytes], display: bool
 ) -> Result:
@@ -234,10 +301,9 @@ def write_episode(
     with EpisodeWriter(path, episode.header, attachments=attachments, display=display) as writer:
         for first in range(0, len(episode), BLOCK):
             stop = min(first + BLOCK, len(episode))
-            columns = {
-                item.name: getattr(episode, item.name)[first:stop] for item in STEP.fields[1:]
-            }
+            columns = {name: values[first:stop] for name, values in episode.columns.items()}
             low, high = np.searchsorted(episode.contacts["step"], (first, stop))
-            writer.write_steps(first, columns, contacts=episode.contacts[low:high])
-        final = {item.name: getattr(episode, item.name)[-1] for item in FINAL.fields[1:]}
+            inputs = _inputs_between(episode.inputs, first, stop)
+            writer.write_steps(first, columns, contacts=episode.contacts[low:high], inputs=inputs)
+        final = {name: episode.columns[name][-1] for name in episode.before}
         return writer.finish(final, aborted=episode.result.aborted, path=episode.path)

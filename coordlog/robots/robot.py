@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,11 @@ class Arm:
 
     name: str
     palm: str
-    """Name of the site that must reach the goal."""
+    """Name of the site that must reach the goal; or of a body, which then gets one."""
     joints: tuple[str, ...]
     """Joints that move this arm and no other, base to tip."""
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the palm is in the frame of the body that `palm` names, if that is a body [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,26 +35,46 @@ class Robot:
     """One robot: its model and the names the rest of the package needs.
 
     The action drives `shared` joints first, then each arm's own, in order. Every joint of the
-    action must have a position servo of the same name; joints with a servo and no place in the
-    action are held at their pose.
+    action needs a position servo, whatever it is called; joints with a servo and no place in the
+    action are held at their pose, and all other actuators at one control.
+
+    Example:
+        >>> from pathlib import Path
+        >>> arm = Arm("arm", palm="attachment_site", joints=("shoulder_pan_joint", "elbow_joint"))
+        >>> Robot("ur5e", Path("ur5e.xml"), (arm,), poses={"stand": {}}).action_joints
+        ('shoulder_pan_joint', 'elbow_joint')
     """
 
     name: str
-    mjcf: str
-    """The robot alone, as a whole MJCF document: no floor, no scene, no files."""
+    mjcf: str | Path
+    """The robot alone, MJCF or URDF: a file, or the text of one."""
     arms: tuple[Arm, ...]
     shared: tuple[str, ...] = ()
     """Joints that move every arm (the spine), base to tip."""
     soles: tuple[str, ...] = ()
-    """Box geoms the robot stands on; empty for a robot that cannot fall."""
+    """Geoms the robot stands on; empty for a robot that cannot fall."""
     torso: str = ""
     """Body whose tilt counts as falling; needed if there are soles."""
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Named start poses [rad]; joints not named are at zero. Every robot has "stand"."""
+    """Named start poses [rad, m]; joints not named are where the model's keyframe of that name has
+    them, or at its zero. Every robot has "stand"."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the workspace [m]: positions in the policy state are relative to it."""
     reach: float = 1.0
     """Half the extent of the workspace [m]: positions in the policy state are divided by it."""
+    assets: Mapping[str, bytes] | Path | None = None
+    """The files a model given as text names: their bytes by name, or the folder they lie in. A
+    model given as a file finds its own."""
+    servo_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Gains (kp, kv) of the position servos that joints get which have a motor or no actuator, by
+    joint, "*" for all others [N·m/rad, N·m·s/rad; N/m, N·s/m]."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges of action joints whose model gives none [rad, m]; a hinge gets ±π by itself."""
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Control of actuators that are no joint's servo (a gripper's tendon), by name; without it what
+    the model's keyframe says, or 0."""
+    excludes: tuple[tuple[str, str], ...] = ()
+    """Pairs of bodies that never collide, beside those the model excludes itself."""
 
     def __post_init__(self) -> None:
         if not self.arms:
@@ -83,6 +106,12 @@ class Robot:
         """
         index = {name: i for i, name in enumerate(self.action_joints)}
         return {arm.name: [index[name] for name in self.shared + arm.joints] for arm in self.arms}
+
+    def gains(self, joint: str) -> tuple[float, float] | None:
+        """Gains (kp, kv) of the servo a joint gets where its model has none; None if none are
+        given.
+        """
+        return self.servo_gains.get(joint, self.servo_gains.get("*"))
 
     def speeds(self, *, private: float, shared: float) -> Array:
         """Speed of every action joint at action 1, (n_u,) [rad/s]: a robot that stands on feet

@@ -9,16 +9,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import zstandard
 
 from coordlog.config import build, plain
 from coordlog.contracts import Branch, Outcome, Problem
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Json
+from coordlog.episode import INITIAL_STATE, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
-from coordlog.mjcf import compile_model, compose, self_contained
-from coordlog.robots.robot import Robot
-from coordlog.sim.physics import STATE, Physics
+from coordlog.mjcf import actuator_label, compile_model, compose, pack_source, with_radii
+from coordlog.sim.physics import Physics
 from coordlog.sim.sampler import Draw
+from coordlog.sim.settling import faults, settle
 from coordlog.sim.simulation import Simulation
 from coordlog.sim.task import BoundTask
 from coordlog.spec import Field, Layout
@@ -27,8 +26,6 @@ from coordlog.tasks.registry import make_task, task_class
 from coordlog.tasks.scene import Scene
 from coordlog.version import __version__
 
-SETTLE_SECONDS = 4.0
-"""The start pose is simulated this long, so that an episode starts at rest."""
 SAME = 0.01
 """How far a branch may begin from where it was left, in entries of the state: nothing on the
 machine that recorded it."""
@@ -64,26 +61,32 @@ class BatchEnv:
             task: Constants of the scene's task that are its own, by name.
 
         Raises:
-            ConfigError: for a pose, period or name that does not fit the robot's model.
-            FormatError: if the model needs other files.
+            ConfigError: for a pose, period or name that does not fit the robot's model, a file it
+                lacks, or a pose it does not hold.
             SimulationError: if it does not compile.
         """
         config, reward = config or default_config(scene), reward or RewardConfig()
         if start not in scene.robot.poses:
             raise unknown("start pose", start, scene.robot.poses)
         self.scene, self.start = scene, start
-        self.text = compose(scene, config)
-        self_contained(
-            self.text.encode()
-        )  # a log carries its model as text: what could not be replayed is not recorded
-        model = compile_model(self.text)
+        self.source = compose(scene, config)
+        model = compile_model(self.source)
         rules = make_task(scene.task, config, reward, task)
         self.task = BoundTask(rules, scene.robot, model, config, reward)
-        self.physics = Physics(model, n=n, threads=threads)
+        rest = settle(scene.robot, model, start)
+        wrong = faults(scene.robot, model, start, rest)
+        if wrong:
+            raise ConfigError(f"robot '{scene.robot.name}': {'; '.join(wrong)}")
+        self.resting = rest.resting
+        """Pairs of geoms that lie against one another in the start pose and that no action moves
+        apart: their contacts are none."""
+        self.physics = Physics(model, n=n, threads=threads, resting=self.resting)
         self.simulation = Simulation(self.task, self.physics, n=n)
-        self._rest = settled(scene.robot, model, start)
+        self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
-        self.draw = Draw(scene, rules, model, config, standing=standing, start=start)
+        self.draw = Draw(
+            scene, rules, model, config, standing=standing, resting=self.resting, start=start
+        )
         self._packed: dict[str, bytes] = {}
         self._object = (
             int(model.body("object").mocapid[0]) if scene.object_half is not None else None
@@ -163,8 +166,8 @@ class BatchEnv:
         return self.simulation.step(action, ids)
 
     def attachments(self, sim: int) -> dict[str, bytes]:
-        """What a file needs so that it alone can be simulated again: one simulation's model as text
-        and as MJB, and its state.
+        """What a file needs so that it alone can be simulated again: one simulation's model and its
+        state.
 
         Read right after `reset`. Compiling the text, which has the episode's own spheres, gives the
         model the simulation runs on.
@@ -176,13 +179,8 @@ class BatchEnv:
         radii = tuple(float(radius) for radius in self.simulation.radii[sim])
         if not radii and self._packed:
             return self._packed
-        text = compose(self.scene, self.task.config, radii) if radii else self.text
-        packed = {
-            MODEL_XML: _pack(text.encode()),
-            MODEL_MJB: _pack(binary(self.physics.model_of(sim))),
-        }
-        self._packed = packed
-        return packed
+        self._packed = pack_source(with_radii(self.source, radii) if radii else self.source)
+        return self._packed
 
     @property
     def layout(self) -> Layout:
@@ -194,6 +192,7 @@ class BatchEnv:
             n_x=len(self.task.view),
             n_u=len(self.task.servos),
             k=len(self.scene.robot.arms),
+            n_c=model.nu,
         )
 
     def describe(self) -> Json:
@@ -208,8 +207,9 @@ class BatchEnv:
             "reward": plain(self.task.reward),
             "task": self.task.rules.to_json(),
             "joints": hinges(model),
-            "actuators": [model.actuator(i).name for i in range(model.nu)],
+            "actuators": [actuator_label(model, i) for i in range(model.nu)],
             "geoms": [model.geom(i).name for i in range(model.ngeom)],
+            "resting": [list(pair) for pair in self.resting],
             "arms": robot.served,
             "action_joints": list(robot.action_joints),
             "layout": asdict(self.layout),
@@ -222,17 +222,6 @@ def default_config(scene: Scene) -> EnvConfig:
     return build(EnvConfig, task_class(scene.task)[0].defaults)
 
 
-def binary(model: mujoco.MjModel) -> bytes:
-    """A compiled model as MJB."""
-    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()
-
-
-def _pack(content: bytes) -> bytes:
-    return zstandard.ZstdCompressor(level=6).compress(content)
-
-
 def hinges(model: mujoco.MjModel) -> list[Json]:
     """Name and addresses of every joint of one degree of freedom, in model order."""
     # MuJoCo's enumerators equal plain ints only: an np.int32 is never `in` a tuple of them.
@@ -242,39 +231,3 @@ def hinges(model: mujoco.MjModel) -> list[Json]:
         {"name": joint.name, "qpos": int(joint.qposadr[0]), "qvel": int(joint.dofadr[0])}
         for joint in joints
     ]
-
-
-def settled(robot: Robot, model: mujoco.MjModel, pose: str) -> Array:
-    """The full state vector of the robot at rest in a pose, time zero: set down on its soles and
-    simulated until it stands still.
-
-    Raises:
-        ConfigError: if the pose names a joint that is not there, or puts one outside its range.
-    """
-    data = mujoco.MjData(model)
-    for name, angle in robot.poses[pose].items():
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if joint < 0:
-            raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks"
-            )
-        low, high = model.jnt_range[joint]
-        if model.jnt_limited[joint] and not low <= angle <= high:
-            raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}"
-            )
-        data.qpos[model.jnt_qposadr[joint]] = angle
-    for i in range(model.nu):
-        data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]]
-    mujoco.mj_kinematics(model, data)
-    if robot.soles:
-        lowest = min(
-            data.site_xpos[i, 2] for i in range(model.nsite) if "_corner_" in model.site(i).name
-        )
-        data.qpos[2] -= lowest
-    for _ in range(round(SETTLE_SECONDS / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    data.time = 0.0
-    row = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, row, STATE)
-    return row

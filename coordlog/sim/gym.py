@@ -215,7 +215,10 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         physics, (width, height) = self._env.physics, IMAGE
         if self._painter is None:
             self._painter = Painter(
-                physics.model, view=view_of(self._env.scene.robot), width=width, height=height
+                physics.model,
+                view=view_of(self._env.scene.robot, physics.model),
+                width=width,
+                height=height,
             )
         return self._painter.paint(
             physics.qpos[0], physics.mocap_pos[0], sizes=physics.model_of(0).geom_size

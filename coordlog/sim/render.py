@@ -30,6 +30,8 @@ OVERSAMPLING = 2
 """Pixels rendered per pixel of the image and axis: edges against the backdrop come out smooth."""
 SEE_THROUGH = 0.3
 """Opacity of a panel that stands between the camera and a goal."""
+SHOWN_GROUPS = 3
+"""MuJoCo draws geoms of the groups below this."""
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -42,12 +44,31 @@ class View(NamedTuple):
     elevation: float
 
 
-def view_of(robot: Robot) -> View:
-    """A robot on its feet from ahead of its left, one that lies in a plane from above."""
+def view_of(robot: Robot, model: mujoco.MjModel | None = None) -> View:
+    """A robot on its feet from ahead of its left, one that moves in a plane from above, any other
+    from ahead and a little above.
+
+    Args:
+        robot: Where it works, and whether it stands on feet.
+        model: What its joints' axes are read from; without it only a robot on feet does not lie in
+            a plane.
+    """
     x, y, z = robot.centre
     if robot.soles:
         return View((x + 0.05, y, 0.75 * z), 2.7 * robot.reach, 244.0, -13.0)
-    return View((x, y, z), 2.7 * robot.reach, 90.0, -89.0)
+    if model is None or _is_flat(robot, model):
+        return View((x, y, z), 2.7 * robot.reach, 90.0, -89.0)
+    return View((x, y, z), 2.6 * robot.reach, 225.0, -20.0)
+
+
+def _is_flat(robot: Robot, model: mujoco.MjModel) -> bool:
+    """Whether all joints of the action turn about the vertical."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    joints = [model.joint(name).id for name in robot.action_joints]
+    upright = np.abs(data.xaxis[joints, 2]) > 0.999
+    hinges = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
+    return bool((upright & hinges).all())
 
 
 def picture(
@@ -82,7 +103,9 @@ def picture(
         if angles is not None:
             qpos[env.task.qpos_index] = angles
     model, mocap_pos = env.physics.model_of(0), env.physics.mocap_pos[0]
-    return picture_of(model, qpos, mocap_pos, view=view_of(scene.robot), width=width, height=height)
+    return picture_of(
+        model, qpos, mocap_pos, view=view_of(scene.robot, model), width=width, height=height
+    )
 
 
 def picture_of(
@@ -275,9 +298,22 @@ def _dress(model: mujoco.MjModel, width: int, height: int) -> None:
     model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     model.light_pos[:], model.light_dir[:] = (0.6, 0.4, 2.0), (-0.30, -0.20, -0.93)
     model.light_diffuse[:], model.light_specular[:] = 0.32, 0.10
+    _show_hidden(model)
     floors = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     model.geom_rgba[floors] = [*BACKDROP, 1.0]
     model.geom_size[floors] = [6.0, 6.0, 1.0]
+
+
+def _show_hidden(model: mujoco.MjModel) -> None:
+    """Show what collides of bodies of which nothing else is to be seen: many models keep their
+    collision shapes in a group that is not drawn.
+    """
+    shown = (model.geom_group < SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
+    solid = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    dressed = np.isin(model.geom_bodyid, model.geom_bodyid[shown])
+    bare = solid & ~shown & ~dressed
+    model.geom_group[bare] = 0
+    model.geom_rgba[bare, 3] = np.maximum(model.geom_rgba[bare, 3], 1.0)
 
 
 def _reveal(model: mujoco.MjModel, data: mujoco.MjData, eye: Array) -> None:

@@ -89,6 +89,11 @@ def replay(logs: Sequence[Log], *, threads: int = 1) -> list[Trace]:
     return [traces[i] for i in range(len(logs))]
 
 
+def resting_of(header: Header) -> list[tuple[int, int]]:
+    """Pairs of geoms whose contacts are none in an episode."""
+    return [(int(one), int(other)) for one, other in header.env.get("resting", [])]
+
+
 def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     """Replay logs of one environment, one simulation each."""
     env = Traced(LogEnv(logs, threads=threads))
@@ -137,8 +142,10 @@ class LogEnv:
             ConfigError: if the task is not installed, or a model lacks what its header names.
         """
         self._logs, self.task = logs, task_of(logs[0])
-        models = [log.model for log in logs]
-        self.physics = Physics(models[0], n=len(logs), threads=threads, models=models)
+        models, resting = [log.model for log in logs], resting_of(logs[0].header)
+        self.physics = Physics(
+            models[0], n=len(logs), threads=threads, models=models, resting=resting
+        )
         self.simulation = Simulation(self.task, self.physics, n=len(logs))
 
     @property

@@ -7,6 +7,9 @@ use disjoint random streams.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -20,6 +23,10 @@ from coordlog.tasks.scene import Scene
 
 SPLITS = {"train": 0, "test": 1}
 ATTEMPTS = 200
+"""Draws after which a scene is given up of which none has been feasible."""
+PATIENCE = 50
+"""This many times as many draws are made where others of the scene's have been feasible."""
+FEASIBLE = "feasible"
 CLEARANCE = 0.02
 """Obstacles keep this far [m] from the start pose, and spheres leave this much room around a goal
 beyond the palm's own size."""
@@ -31,6 +38,8 @@ SPREAD = 4.0
 SHARED = 0.3
 """Share of their way that shared joints of a robot on feet go towards a random posture: the spine
 carries half the mass."""
+FAR_BELOW = -10.0
+"""Height at which spheres are out of the way [m]: a start is drawn before they are."""
 TIGHT = 0.005
 """Obstacles keep this far [m] from starts near postures that reach: goals are close to what holds
 them."""
@@ -48,6 +57,7 @@ class Draw:
         *,
         standing: Array,
         start: str = "stand",
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Copy what is needed to verify draws.
 
@@ -58,11 +68,20 @@ class Draw:
             config: Start noise and balance margin.
             standing: qpos of the settled start pose, shape (n_q,).
             start: Name of that pose.
+            resting: Pairs of geoms that lie against one another and never count as touching.
         """
-        self._scene, self._task, self._config = scene, task, config
+        self._scene, self._task, self._config, self._model = scene, task, config, model
+        self.tally: Counter[str] = Counter()
+        """How often a draw was feasible (FEASIBLE), and why the others were not."""
         self.reach = Reach(
-            scene.robot, model, margin=config.balance_margin, tilt=config.tilt, standing=standing
+            scene.robot,
+            model,
+            margin=config.balance_margin,
+            tilt=config.tilt,
+            standing=standing,
+            resting=resting,
         )
+        self._away = np.tile([0.0, 0.0, FAR_BELOW, scene.sphere_radius[0]], (scene.spheres, 1))
         robot = scene.robot
         self._poses = [
             self.reach.angles_of(robot, pose)
@@ -86,32 +105,36 @@ class Draw:
         if split not in SPLITS:
             raise unknown("split", split, SPLITS)
         rng = np.random.default_rng([seed, SPLITS[split], index])
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS * PATIENCE):
+            if attempt >= ATTEMPTS and not self.tally[FEASIBLE]:
+                break
             angles = self._start(rng, split)
             spheres = self._spheres(rng)
             self.reach.place(spheres)
             sample = self._task.sample(rng, self._scene, self.reach, angles)
-            if sample is not None and self._feasible(sample, spheres, angles):
-                if (
-                    sample.track is None  # goals that move start where the palms are
-                    and split == "train"
-                    and self._config.start_solved > 0
-                    and rng.random() < self._config.start_solved
-                ):
-                    angles = self._solved(rng, angles)
-                return Problem(
-                    seed,
-                    split,
-                    index,
-                    sample.goals,
-                    sample.centre,
-                    spheres,
-                    angles,
-                    track=sample.track,
-                )
+            why_not = self._infeasible(sample, spheres, angles)
+            self.tally[why_not or FEASIBLE] += 1
+            if sample is None or why_not:
+                continue
+            if (
+                sample.track is None  # goals that move start where the palms are
+                and split == "train"
+                and self._config.start_solved > 0
+                and rng.random() < self._config.start_solved
+            ):
+                angles = self._solved(rng, angles)
+            drawn = (sample.goals, sample.centre, spheres, angles)
+            return Problem(seed, split, index, *drawn, track=sample.track)
         raise SimulationError(
-            f"scene '{self._scene.name}': no feasible problem in {ATTEMPTS} draws (seed {seed}, episode {index})"
+            f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, episode {index}): {self.reasons()}"
         )
+
+    def reasons(self) -> str:
+        """Why draws have not been feasible, the commonest first."""
+        count = Counter({why: n for why, n in self.tally.items() if why != FEASIBLE})
+        total = sum(self.tally.values())
+        said = [f"{why} ({n} of {total})" for why, n in count.most_common(4)]
+        return "; ".join(said) or "all were feasible"
 
     def _start(self, rng: np.random.Generator, split: str) -> Array:
         """The start pose and noise; of the split "train", a share elsewhere."""
@@ -124,6 +147,7 @@ class Draw:
             pose = self._poses[rng.integers(len(self._poses))]
             return np.clip(standing + rng.random() * (pose - standing) + SPREAD * noise, low, high)
         if config.start_line <= kind < elsewhere:
+            self.reach.place(self._away)
             for _ in range(POSTURES):
                 angles = standing + rng.random() * self._freedom * (
                     rng.uniform(low, high) - standing
@@ -158,13 +182,21 @@ class Draw:
         low, high = self._scene.sphere_radius
         return np.stack([np.append(inside(rng, box), rng.uniform(low, high)) for _ in range(count)])
 
-    def _feasible(self, sample: Sample, spheres: Array, angles: Array) -> bool:
+    def _infeasible(self, sample: Sample | None, spheres: Array, angles: Array) -> str:
+        """Why a draw cannot be solved; empty if it can."""
+        if sample is None:
+            return "the task finds no goals from its start posture"
         goals = sample.goals
         for sphere in spheres:
             if (
                 np.linalg.norm(goals - sphere[:3], axis=1) < sphere[3] + PALM_RADIUS + CLEARANCE
             ).any():
-                return False
+                return "a goal lies inside or beside a sphere"
         if self.reach.touches(angles, clearance=CLEARANCE):
-            return False
-        return sample.reachable or self.reach.solve(goals) is not None
+            one, other = (self._model.geom(geom).name or f"geom {geom}" for geom in self.reach.met)
+            return f"the start pose touches: {one} and {other}, or an obstacle is within {CLEARANCE * 100:g} cm of it"
+        if sample.reachable or self.reach.solve(goals) is not None:
+            return ""
+        if any(self.reach.descend(goals, seed) is not None for seed in self.reach.seeds):
+            return "the goals are reached by no posture that touches nothing and keeps its balance"
+        return "the goals are out of reach"

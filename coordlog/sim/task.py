@@ -12,6 +12,7 @@ from coordlog.contracts import Reading, Task
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, unknown
 from coordlog.kinematics import balance
+from coordlog.mjcf.servos import require_servos
 from coordlog.robots.robot import Robot
 from coordlog.spec import Field
 from coordlog.tasks.config import EnvConfig, RewardConfig
@@ -51,7 +52,7 @@ class BoundTask:
         self.config, self.reward = config, reward
         try:
             joints = [model.joint(name) for name in robot.action_joints]
-            servos = [model.actuator(name).id for name in robot.action_joints]
+            servos = require_servos(model, robot)
             self._goals = [int(model.body(goal_body(arm.name)).mocapid[0]) for arm in robot.arms]
             self._palms = self._sensors([palm_sensor(arm.name) for arm in robot.arms])
         except KeyError as error:

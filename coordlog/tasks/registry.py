@@ -24,6 +24,8 @@ TASKS: dict[str, tuple[type[Any], type[Any] | None]] = {
 }
 """By name: the task, and the dataclass of its own constants if it has any."""
 GROUP = "coordlog.tasks"
+SAID = ("name", "fields")
+"""What a `coordlog.env` record says of a task besides the constants that are the task's own."""
 
 
 def task_class(name: str) -> tuple[type[Any], type[Any] | None]:
@@ -79,11 +81,10 @@ def task_of(env: Json) -> Task:
     Raises:
         ConfigError: if it is not installed here, or a constant is not one of its.
     """
-    said = dict(env.get("task", {"name": "reach"}))
-    name = said.pop("name")
-    said.pop("fields", None)
+    said = env.get("task", {"name": "reach"})
+    own = {key: value for key, value in said.items() if key not in SAID}
     config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-    return make_task(name, config, reward, said)
+    return make_task(said["name"], config, reward, own)
 
 
 def follow(task: Task, measured: Mapping[str, Array]) -> dict[str, Array]:

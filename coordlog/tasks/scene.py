@@ -171,6 +171,10 @@ def find(name: str) -> Scene:
     return SCENES[name]
 
 
+ROBOT_IN_WORLD = "robot_in_world"
+"""Name of the model's tuple of geoms that lie in the world but are the robot's own."""
+
+
 def goal_body(arm: str) -> str:
     """Name of the mocap body that marks an arm's goal."""
     return f"goal_{arm}"

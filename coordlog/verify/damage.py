@@ -12,10 +12,12 @@ from collections.abc import Iterator
 import numpy as np
 from mcap.opcode import Opcode
 
+from coordlog.episode import Header
 from coordlog.errors import FormatError
 from coordlog.record.cdr import message_codec
 from coordlog.record.chunk import PREFIX_SIZE, expand
-from coordlog.record.metadata import ENV, decode_layout
+from coordlog.record.messages import step_message
+from coordlog.record.metadata import decode_header
 from coordlog.record.records import (
     MAGIC,
     RECORD_HEAD,
@@ -24,13 +26,13 @@ from coordlog.record.records import (
     unpack_metadata,
     walk,
 )
-from coordlog.record.topics import topics
-from coordlog.spec import FINAL, STEP, Layout, Message
+from coordlog.record.topics import task_messages, topics
+from coordlog.spec import FINAL, Layout, Message
 from coordlog.verify.bitflip import Flip, locate, restored
 from coordlog.verify.finding import Problem
 
 _SEQUENCE_AT = 11  # of a message record: its step number
-_DECODED: dict[str, Message] = {STEP.topic: STEP, FINAL.topic: FINAL}
+_STEP_CHANNEL = 1  # in every file of our own layout
 
 
 def repaired(data: bytes, stop: int, crc: int) -> tuple[bytes, Flip] | None:
@@ -93,8 +95,8 @@ def _compared(intact: bytes, whole: bytes, broken: bytes, where: str) -> Problem
     """The first message of an expanded chunk that the damage reached; None if it cannot be told."""
     if len(whole) != len(broken) or whole == broken:
         return None
-    layout, arms = _layout(intact)
-    names = {topic.id: name for name, topic in topics(arms).items()}
+    header = _header(intact)
+    names = {topic.id: name for name, topic in topics(header).items()}
     at = int(np.flatnonzero(np.frombuffer(whole, np.uint8) != np.frombuffer(broken, np.uint8))[0])
     span = next(span for span in walk(whole, 0) if at < span.end)
     record, other = (data[span.start - RECORD_HEAD.size : span.end] for data in (whole, broken))
@@ -102,8 +104,10 @@ def _compared(intact: bytes, whole: bytes, broken: bytes, where: str) -> Problem
         return Problem(None, Opcode(span.opcode).name.lower(), "the bytes written", where)
     step = int.from_bytes(record[_SEQUENCE_AT : _SEQUENCE_AT + 4], "little")
     topic = names[int.from_bytes(record[RECORD_HEAD.size : RECORD_HEAD.size + 2], "little")]
-    if topic in _DECODED:
-        named = _field(_DECODED[topic], layout, record, other)
+    decoded = {message.topic: message for message in (step_message(header), FINAL)}
+    decoded |= {message.topic: message for message in task_messages(header)}
+    if topic in decoded:
+        named = _field(decoded[topic], header.layout, record, other)
         if named is not None:
             return Problem(step, named[0], named[1], f"{named[2]}: {where}")
     return Problem(step, topic, "the bytes written", where)
@@ -149,14 +153,14 @@ def _unreadable(data: bytes, span: Span, reason: str) -> Problem:
 
 def _indexed_steps(content: memoryview) -> int:
     """Steps that a message index record counts; 0 for other topics."""
-    channel = topics(())[STEP.topic].id
-    return (len(content) - 6) // 16 if int.from_bytes(content[:2], "little") == channel else 0
+    channel = int.from_bytes(content[:2], "little")
+    return (len(content) - 6) // 16 if channel == _STEP_CHANNEL else 0
 
 
-def _layout(data: bytes) -> tuple[Layout, tuple[str, ...]]:
+def _header(data: bytes) -> Header:
     records = (
         unpack_metadata(data[span.start : span.end])
         for span in walk(data)
         if span.opcode == Opcode.METADATA
     )
-    return decode_layout(dict(records)[ENV])
+    return decode_header(dict(records))

@@ -8,6 +8,7 @@ from the log is. A finding names file, step and field; damaged content is never 
 from __future__ import annotations
 
 import os
+import struct
 import zlib
 from collections.abc import Iterator
 from itertools import zip_longest
@@ -16,11 +17,13 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
+from coordlog.record.contents import Contents, contents
+from coordlog.record.decoding import decode
 from coordlog.record.messages import Encoder
-from coordlog.record.opening import File, load, summary_start
-from coordlog.record.reader import Contents, contents, decode
-from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE
-from coordlog.spec import FINAL, STEP
+from coordlog.record.opening import File, is_own, load, rewritten_by, summary_start
+from coordlog.record.reader import attachments
+from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE, walk
+from coordlog.record.schema import column
 from coordlog.verify.bitflip import locate
 from coordlog.verify.damage import damages
 from coordlog.verify.finding import Finding, Problem
@@ -28,6 +31,11 @@ from coordlog.verify.structure import structure
 from coordlog.verify.values import Rewards, content
 
 LEVELS = ("file", "content")
+
+_COMPARED = RECORD_HEAD.size + 2
+"""Where in a message record what must come out again begins: after the channel's id."""
+_RECORDED = _COMPARED + 4
+"""The same of a message that another tool numbered: after its sequence number."""
 
 
 def check(path: File, *, level: str = "content", rewards: Rewards) -> list[Finding]:
@@ -53,16 +61,48 @@ def check(path: File, *, level: str = "content", rewards: Rewards) -> list[Findi
     return [Finding(name, "content", *problem) for problem in _content(data, rewards)]
 
 
+def rewritten(path: File) -> str:
+    """What to say of an episode whose bytes another program wrote anew; "" if coordlog did.
+
+    Raises:
+        FormatError: if the file is no episode.
+        StorageError: if it cannot be read.
+    """
+    by = rewritten_by(load(path))
+    return f"rewritten by {by}: the bytes differ, every value is checked as it was recorded" * bool(
+        by
+    )
+
+
 def _file(data: bytes) -> list[Problem]:
     try:
+        if not is_own(data):
+            return list(_foreign(data))
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         found = list(_checksums(data, start))
         if not found:
             decode(contents(data))
+            attachments(data)
             found = list(structure(data, start))
     except FormatError as error:
         return [Problem(None, "file", "a finished episode", str(error))]
     return found
+
+
+def _foreign(data: bytes) -> Iterator[Problem]:
+    """What is wrong in a file that another tool wrote: all that its CRCs and the commit marker
+    vouch for; its layout is its own affair.
+    """
+    for span in walk(data):
+        if span.opcode == Opcode.DATA_END:
+            stop = span.start - RECORD_HEAD.size
+            (crc,) = struct.unpack_from("<I", data, span.start)
+            if crc not in (0, zlib.crc32(memoryview(data)[:stop])):
+                yield from damages(data, stop, crc)
+                return
+            break
+    decode(contents(data))
+    attachments(data)
 
 
 def _checksums(data: bytes, start: int) -> Iterator[Problem]:
@@ -112,23 +152,28 @@ def _content(data: bytes, rewards: Rewards) -> list[Problem]:
 
 
 def _messages(found: Contents, episode: Episode) -> Iterator[Problem]:
-    """Encode the decoded columns again: every message of every topic must come out as it stands in
-    the file.
+    """Encode the decoded columns again: every message must come out as it stands in the file, but
+    for the channel it is on. Topics that are made for viewers from the model are not compared, nor
+    those whose schema has more fields than are read.
     """
-    columns = {item.name: getattr(episode, item.name)[: len(episode)] for item in STEP.fields[1:]}
-    final = {item.name: getattr(episode, item.name)[-1:] for item in FINAL.fields[1:]}
+    columns = {name: values[: len(episode)] for name, values in episode.columns.items()}
+    final = {name: episode.columns[name][-1:] for name in episode.before}
     encoder = Encoder(episode.header, display=True)
-    batches = {FINAL.topic: encoder.final(len(episode), final)}
+    wanted = encoder.final(len(episode), final)
     if len(episode):
-        batches |= encoder.steps(0, columns, episode.contacts)
+        inputs = episode.inputs or None
+        wanted |= encoder.steps(0, columns, episode.contacts, inputs)
     if episode.path is not None:
-        batches |= encoder.path(episode.path)
-    for topic, records in found.messages.items():
-        for index, (wanted, got) in enumerate(
-            zip_longest(batches[topic].records if topic in batches else [], records)
-        ):
-            if wanted != got:
+        wanted |= encoder.path(episode.path)
+    start = _COMPARED if found.own else _RECORDED
+    for topic, message in encoder.messages.items():
+        stream = found.stream(topic)
+        if stream.columns != tuple(map(column, message.fields)):
+            continue
+        records = wanted[topic].records if topic in wanted else []
+        for index, (a, b) in enumerate(zip_longest(records, stream.records)):
+            if a is None or b is None or bytes(a[start:]) != b[start:]:
                 yield Problem(
-                    index, topic, "the message its columns encode to", "another" if got else "none"
+                    index, topic, "the message its columns encode to", "another" if b else "none"
                 )
                 break

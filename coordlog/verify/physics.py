@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coordlog.episode import CONTACT, INITIAL_STATE, MODEL_MJB, MODEL_XML, Array, Episode
+from coordlog.episode import CONTACT, INITIAL_STATE, Array, Episode
 from coordlog.errors import CoordlogError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.record.opening import File
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.sim.replay import Log, Trace, exact_here, replay
@@ -77,7 +77,7 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
 
 def _load(path: File) -> tuple[Episode, Log]:
     episode, attached = read_episode(path), read_attachments(path)
-    model = load_model(attached.get(MODEL_XML), attached.get(MODEL_MJB))
+    model = load_attached(attached)
     start = np.frombuffer(attached.get(INITIAL_STATE, b""), dtype=np.float64)
     return episode, Log.of(episode, model, start)
 
@@ -119,6 +119,7 @@ def _compare_bits(episode: Episode, trace: Trace) -> list[Difference]:
     found = [
         (step, name)
         for name, column in trace.columns.items()
+        if episode.has(name)
         for step in _unequal(getattr(episode, name), column)[:1]
     ]
     if found:
@@ -133,6 +134,8 @@ def _compare_nearly(episode: Episode, trace: Trace) -> list[Difference]:
     """The first step at which a column differs by more than its tolerance."""
     found = []
     for name, tolerance in TOLERANCES.items():
+        if name not in trace.columns or not episode.has(name):
+            continue
         logged, again = getattr(episode, name), trace.columns[name]
         away = ~(np.abs(logged - again) <= tolerance)
         steps = np.flatnonzero(away.any(axis=tuple(range(1, away.ndim))))

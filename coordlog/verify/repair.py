@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import NamedTuple
@@ -17,26 +18,37 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from coordlog.episode import Array, Episode, Result
-from coordlog.errors import FormatError, TruncatedError
+from coordlog.episode import Array, Episode, Header, Result
+from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.chunk import expand
-from coordlog.record.messages import decode_contacts, decode_final, decode_path, decode_steps
+from coordlog.record.contents import Contents, contents
+from coordlog.record.decoding import decode
+from coordlog.record.messages import (
+    decode_contacts,
+    decode_inputs,
+    decode_path,
+    decode_topic,
+    step_message,
+)
 from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_header, decode_result
-from coordlog.record.opening import File, load, naming, summary_start, verify_summary
-from coordlog.record.reader import Contents, contents, decode
+from coordlog.record.opening import File, is_own, load, naming, summary_start, verify_summary
 from coordlog.record.records import (
     DATA_END,
     MAGIC,
+    RECORD_HEAD,
     TAIL_SIZE,
     unpack_attachment,
     unpack_metadata,
     walk,
 )
-from coordlog.record.storage import PART, PartFile, move_new, refuse_existing, translated
+from coordlog.record.storage import PART, PartFile, locked, move_new, refuse_existing, translated
+from coordlog.record.topics import task_messages
 from coordlog.record.writer import write_episode
-from coordlog.spec import CONTACTS, FINAL, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
+from coordlog.spec import CONTACTS, FINAL, INPUTS, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
 from coordlog.verify.damage import repaired
 
+DRAFT = ".recovering"
+"""Ends the name of what is being recovered."""
 ABORTED = "recovered"
 """Why a recovered episode ends where it does."""
 
@@ -75,6 +87,8 @@ class _Ground:
 def recover(path: File, out: File | None = None) -> Recovered:
     """Write what is complete in a part file or a damaged file as a valid episode.
 
+    What an earlier try left behind is removed; if this one fails, it leaves nothing behind.
+
     Args:
         path: The file; left as it is.
         out: Name of the episode; by default NAME.mcap for NAME.mcap.part, NAME.recovered.mcap for a
@@ -83,34 +97,62 @@ def recover(path: File, out: File | None = None) -> Recovered:
     Raises:
         FormatError: if the file is not coordlog's, holds no step whose outcome is known, or is a
             finished episode already.
-        StorageError: if the new file exists or cannot be written.
+        StorageError: if the new file exists or cannot be written, or the file is being written by
+            another process.
     """
-    source, data = FilePath(path), load(path)
-    target = _target(source) if out is None else FilePath(out)
-    refuse_existing(target)
-    draft = target.with_name(target.name + ".recovering")
-    with naming(path):
-        whole = restored_whole(data)
-        if whole is not None:
-            if whole == data and source.suffix != PART:
-                raise FormatError("a finished episode: there is nothing to recover")
-            file = PartFile(draft)
-            file.append(whole)
-            file.publish()
-            steps = len(decode(contents(whole)))
-            lost, lossy = (
-                "nothing" if whole == data else "nothing; a flipped bit was put back",
-                False,
+    source = FilePath(path)
+    target = target_of(source) if out is None else FilePath(out)
+    draft = target.with_name(target.name + DRAFT)
+    with locked(source) as ours:
+        if not ours:
+            raise StorageError(
+                f"{source}: is being written or recovered by another process; wait for its end"
             )
-        else:
-            salvage = salvaged(data)
-            steps, lost, lossy = len(salvage.episode), salvage.lost, salvage.lossy
-            write_episode(
-                draft, salvage.episode, attachments=salvage.attachments, display=salvage.display
-            )
-    with translated(target, "publish the file", f"the recovered episode is {draft}"):
-        move_new(draft, target)
-    return Recovered(target, steps, lost, lossy)
+        data = load(path)
+        refuse_existing(target)
+        _tidy(draft)
+        try:
+            with naming(path):
+                done = _write(source, data, draft)
+            with translated(target, "publish the file"):
+                move_new(draft, target)
+        except StorageError as error:
+            cause = error.__cause__
+            reason = (isinstance(cause, OSError) and cause.strerror) or str(error)
+            raise StorageError(
+                f"{target}: cannot write the recovered episode: {reason}; {source} is as it was"
+            ) from error
+        finally:
+            _tidy(draft)
+    return Recovered(target, *done)
+
+
+def _tidy(draft: FilePath) -> None:
+    """Remove what is left of a try to recover."""
+    for leftover in (draft, draft.with_name(draft.name + PART)):
+        with suppress(OSError):
+            leftover.unlink()
+
+
+def _write(source: FilePath, data: bytes, draft: FilePath) -> tuple[int, str, bool]:
+    """Write the recovered episode; steps kept, what was lost, and whether a step was."""
+    whole = restored_whole(data)
+    if whole is None:
+        salvage = salvaged(data)
+        write_episode(
+            draft, salvage.episode, attachments=salvage.attachments, display=salvage.display
+        )
+        return len(salvage.episode), salvage.lost, salvage.lossy
+    if whole == data and source.suffix != PART:
+        raise FormatError("a finished episode: there is nothing to recover")
+    file = PartFile(draft)
+    try:
+        file.append(whole)
+        file.publish()
+    finally:
+        file.close()
+    lost = "nothing" if whole == data else "nothing; a flipped bit was put back"
+    return len(decode(contents(whole))), lost, False
 
 
 def restored_whole(data: bytes) -> bytes | None:
@@ -125,7 +167,7 @@ def restored_whole(data: bytes) -> bytes | None:
         opcode, _, crc = DATA_END.unpack_from(data, max(stop, 0))
         if opcode != Opcode.DATA_END:
             return None
-        if zlib.crc32(memoryview(data)[:stop]) != crc:
+        if crc not in (0, zlib.crc32(memoryview(data)[:stop])):
             repair = repaired(data, stop, crc)
             if repair is None:
                 return None
@@ -146,11 +188,17 @@ def salvaged(data: bytes) -> Salvage:
     records, messages = ground.found.metadata, ground.found.messages
     if not set(HEADER_RECORDS) <= set(records):
         raise TruncatedError("ends within its opening metadata: nothing to recover")
-    header = decode_header(records)
-    steps = decode_steps(messages.get(STEP.topic, []), header.layout)
-    final = decode_final(messages.get(FINAL.topic, []), header.layout)
-    on_disk = _in_order(steps["step"])
-    known = len(final["step"]) == 1 and int(final["step"][0]) == on_disk == len(steps["step"])
+    header, found = decode_header(records), ground.found
+    rows = [decode_topic(found.stream(STEP.topic), step_message(header), header.layout)]
+    ends = [decode_topic(found.stream(FINAL.topic), FINAL, header.layout)]
+    for message, tables in zip(task_messages(header), (rows, ends), strict=False):
+        if header.version > 1 and message.topic in messages:
+            tables.append(decode_topic(found.stream(message.topic), message, header.layout))
+    on_disk = min(_in_order(table["step"]) for table in rows)
+    steps = {name: column[:on_disk] for table in rows for name, column in table.items()}
+    final = {name: column for table in ends for name, column in table.items()}
+    known = all(len(table["step"]) == 1 and int(table["step"][0]) == on_disk for table in ends)
+    known = known and all(len(table["step"]) == on_disk for table in rows)
     kept = on_disk if known else on_disk - 1
     if kept < 1:
         raise TruncatedError(
@@ -163,14 +211,17 @@ def salvaged(data: bytes) -> Salvage:
     marker = decode_result(records[RESULT]).aborted if known and RESULT in records else ABORTED
     path = None
     if known and KNOT.topic in messages and SPLINE.topic in messages:
-        path = decode_path(messages[KNOT.topic], messages[SPLINE.topic], header.layout)
-    contacts = decode_contacts(messages.get(CONTACTS.topic, []), header.layout)
+        path = decode_path(found.stream(KNOT.topic), found.stream(SPLINE.topic), header.layout)
+    contacts = decode_contacts(found.stream(CONTACTS.topic), header.layout)
+    inputs = decode_inputs(found.stream(INPUTS.topic))
+    inside = inputs["step"] < kept if inputs else slice(0)
     episode = Episode(
         header=header,
         result=_unknown_result(marker),
         contacts=contacts[contacts["step"] < kept],
         path=path,
-        **_columns(steps, final if known else None, kept),
+        inputs={name: column[inside] for name, column in inputs.items()},
+        columns=_columns(header, steps, final if known else None, kept),
     )
     lost = "; ".join(ground.notes) if not known else "; ".join(["nothing", *ground.notes])
     return Salvage(episode, ground.attachments, JOINT_STATE_TOPIC in messages, lost, not known)
@@ -178,6 +229,7 @@ def salvaged(data: bytes) -> Salvage:
 
 def _ground(data: bytes) -> _Ground:
     ground, at, view = _Ground(), len(MAGIC), memoryview(data)
+    ground.found.own = is_own(data)
     for span in walk(data):
         content = view[span.start : span.end]
         try:
@@ -191,6 +243,8 @@ def _ground(data: bytes) -> _Ground:
             elif span.opcode == Opcode.ATTACHMENT:
                 name, stored = unpack_attachment(content)
                 ground.attachments[name] = stored
+            elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                ground.found.learn(data[span.start - RECORD_HEAD.size : span.end])
             elif span.opcode not in (Opcode.HEADER, Opcode.MESSAGE_INDEX):
                 break
         except FormatError as error:
@@ -210,20 +264,22 @@ def _in_order(steps: Array) -> int:
 
 
 def _columns(
-    steps: Mapping[str, Array], final: Mapping[str, Array] | None, kept: int
+    header: Header, steps: Mapping[str, Array], final: Mapping[str, Array] | None, kept: int
 ) -> dict[str, Array]:
     """The columns of an episode of `kept` steps, whose last state is the final one or that of the
     step after.
     """
-    columns = {item.name: steps[item.name][:kept] for item in STEP.fields[1:]}
     last = (
         {name: column[kept : kept + 1] for name, column in steps.items()}
         if final is None
         else final
     )
-    return columns | {
-        item.name: np.concatenate([columns[item.name], last[item.name]])
-        for item in FINAL.fields[1:]
+    return {
+        item.name: np.concatenate([steps[item.name][:kept], last[item.name]])
+        if item.when == "before"
+        else steps[item.name][:kept]
+        for item in header.fields
+        if item.name in steps
     }
 
 
@@ -232,7 +288,8 @@ def _unknown_result(aborted: str) -> Result:
     return Result(0, (), False, False, False, False, aborted, "")
 
 
-def _target(source: FilePath) -> FilePath:
+def target_of(source: FilePath) -> FilePath:
+    """The name that a recovered episode gets by itself."""
     return (
         source.with_suffix("")
         if source.suffix == PART

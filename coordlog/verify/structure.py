@@ -33,7 +33,7 @@ from coordlog.errors import FormatError
 from coordlog.record.chunk import expand
 from coordlog.record.metadata import HEADER_RECORDS, RESULT
 from coordlog.record.records import FOOTER, RECORD_HEAD, TAIL_SIZE, Span, unpack_attachment, walk
-from coordlog.record.schema import ENCODING, MESSAGE_ENCODING, SCHEMAS
+from coordlog.record.schema import MESSAGE_ENCODING, parsed
 from coordlog.verify.finding import Problem
 
 _KINDS: dict[int, Any] = {
@@ -215,13 +215,10 @@ class _Ledger:
 
     def _define_schema(self, schema: Schema) -> Iterator[Problem]:
         self._schemas[schema.id] = schema
-        if schema.encoding != ENCODING or SCHEMAS.get(schema.name, "").encode() != schema.data:
-            yield Problem(
-                None,
-                f"schema {schema.name}",
-                "the text of this release",
-                f"{schema.encoding} {schema.data.decode(errors='replace')}",
-            )
+        try:  # of what is read the fields are compared where it is decoded
+            parsed(schema.name, schema.encoding, schema.data)
+        except FormatError as error:
+            yield Problem(None, f"schema {schema.name}", "one that can be read", str(error))
 
     def _define_channel(self, channel: Channel) -> Iterator[Problem]:
         self._channels[channel.id] = channel

@@ -9,9 +9,10 @@ from dataclasses import asdict
 
 import numpy as np
 
-from coordlog.episode import Array, Episode, Json
-from coordlog.record.tally import Tally
-from coordlog.spec import STEP
+from coordlog.episode import KINDS, Array, Episode, Json
+from coordlog.record.tally import Tally, task_here
+from coordlog.spec import after, names
+from coordlog.tasks.registry import follow
 from coordlog.verify.finding import Problem
 
 Rewards = Callable[[Array, Array, Array, Array, Array, Json], Array]
@@ -27,8 +28,11 @@ def content(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
     yield from _shapes(episode)
     yield from _times(episode)
     yield from _values(episode)
-    yield from _flags(episode)
-    yield from _rewards(episode, rewards)
+    if episode.header.task == "reach" and episode.has("distance"):
+        yield from _flags(episode)
+        yield from _rewards(episode, rewards)
+    else:
+        yield from _task(episode)
     yield from _endings(episode)
     yield from _contacts(episode)
     yield from _path(episode)
@@ -50,6 +54,8 @@ def _shapes(episode: Episode) -> Iterator[Problem]:
 
 def _times(episode: Episode) -> Iterator[Problem]:
     period = episode.header.episode["control_period"]
+    if episode.header.kind != KINDS[0]:
+        return
     yield from _first("time", np.arange(len(episode) + 1) * period, episode.time)
 
 
@@ -59,8 +65,9 @@ def _values(episode: Episode) -> Iterator[Problem]:
     Actions within [-1, 1].
     """
     diverged = episode.result.aborted.startswith(DIVERGED)
-    for name in ("qpos", "qvel", "state", "action", "reward", "distance"):
-        values: Array = getattr(episode, name)
+    for name, values in episode.columns.items():
+        if values.dtype.kind != "f" or name == "time":
+            continue
         if diverged and name != "action":
             values = values[:-1]
         yield from _broken(name, "finite values", values, ~np.isfinite(values))
@@ -80,12 +87,23 @@ def _rewards(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
     )
 
 
+def _task(episode: Episode) -> Iterator[Problem]:
+    """What the task makes of what was measured, where it is installed."""
+    task, own = task_here(episode.header), names(after(episode.header.task_fields))
+    if task is None or not all(map(episode.has, own)):
+        return
+    wanted = follow(task, {name: episode.columns[name] for name in own})
+    for name in (*own, "reward", "terminated"):
+        yield from _first(name, wanted[name], episode.columns[name])
+
+
 def _endings(episode: Episode) -> Iterator[Problem]:
     """The task ends at its first ending, for one reason; an episode that has none was aborted."""
-    limit, last = int(episode.header.env["config"]["max_steps"]), len(episode) - 1
-    yield from _first(
-        "terminated", episode.instability | episode.goal.all(axis=1), episode.terminated
-    )
+    limit = episode.header.env["config"].get("max_steps", len(episode))
+    last = len(episode) - 1
+    if episode.header.task == "reach" and episode.has("goal"):
+        ends = episode.instability | episode.goal.all(axis=1)
+        yield from _first("terminated", ends, episode.terminated)
     ended = episode.terminated | episode.truncated
     for step in np.flatnonzero(ended[:-1])[:1].tolist():
         yield Problem(step, "terminated", "no step after the episode ended", f"{last - step} more")
@@ -109,7 +127,8 @@ def _contacts(episode: Episode) -> Iterator[Problem]:
         yield Problem(step, "contacts", f"steps 0 to {len(episode) - 1}", f"{step}")
     touching = np.zeros(len(episode), bool)
     touching[rows["step"][inside]] = True
-    yield from _first("collision", touching, episode.collision)
+    if episode.has("collision"):
+        yield from _first("collision", touching, episode.collision)
     wrong = (
         ~(rows["depth"] >= 0)
         | (rows["substep"] < 0)
@@ -146,12 +165,9 @@ def _path(episode: Episode) -> Iterator[Problem]:
 
 
 def _result(episode: Episode) -> Iterator[Problem]:
-    tally = Tally(episode.header.layout.k)
+    tally = Tally(episode.header)
     if len(episode):
-        columns = {
-            item.name: getattr(episode, item.name)[: len(episode)] for item in STEP.fields[1:]
-        }
-        tally.add(columns)
+        tally.add({name: values[: len(episode)] for name, values in episode.columns.items()})
     tally.add_states({"qpos": episode.qpos[-1:], "qvel": episode.qvel[-1:]})
     wanted, got = asdict(tally.result(episode.result.aborted)), asdict(episode.result)
     for name, value in wanted.items():

@@ -15,6 +15,7 @@ from coordlog.kinematics.geometry import Geom
 from coordlog.view import palette
 from coordlog.view.camera import hides
 from coordlog.view.draft import Draft
+from coordlog.view.palette import Colour
 from coordlog.view.show import Stage
 from coordlog.view.solids import ARCHETYPES, floor, poses, solids
 
@@ -40,6 +41,10 @@ def draw(draft: Draft, stage: Stage, eye: Array) -> None:
         draw_goals(draft, stage)
         if stage.robot.soles:
             draw_balance(draft, stage)
+
+
+ROWS: dict[str, slice] = {"always": slice(None), "start": slice(0, 1), "end": slice(-1, None)}
+"""Of a motion, the configurations that are drawn."""
 
 
 def draw_solids(draft: Draft, stage: Stage, eye: Array) -> None:
@@ -103,13 +108,40 @@ def draw_shapes(
         shape = solids(
             kind, geoms, [palette.rgba(geom.colour, alpha=opacity(geom)) for geom in geoms]
         )
-        rows = {"always": slice(None), "start": slice(0, 1), "end": slice(-1, None)}[when]
+        rows = ROWS[when]
         pose = poses(kind, geoms, motion.position[rows, index], motion.quaternion[rows, index])
         if when == "always":
             draft.log(entity, archetype, **shape)
             draft.columns(entity, stage.states, archetype, len(geoms), **pose)
         else:
             draft.log(entity, archetype, **shape, **pose)
+    for geom in stage.geometry.of_place(place):
+        if geom.mesh is not None:
+            colour = palette.rgba(geom.colour, alpha=opacity(geom))
+            _draw_mesh(draft, stage, geom, place, when=when, colour=colour)
+
+
+def _draw_mesh(
+    draft: Draft, stage: Stage, geom: Geom, place: str, *, when: When, colour: Colour
+) -> None:
+    entity, motion = stage.entity("world", place, "mesh", str(geom.index)), stage.motion
+    vertices, triangles = geom.mesh or (np.zeros((0, 3)), np.zeros((0, 3)))
+    colours = np.tile(np.array(colour, dtype=np.uint8), (len(vertices), 1))
+    draft.log(
+        entity,
+        rr.Mesh3D,
+        vertex_positions=vertices,
+        triangle_indices=triangles.astype(np.uint32),
+        vertex_colors=colours,
+    )
+    rows = ROWS[when]
+    pose = poses(
+        "mesh", [geom], motion.position[rows, geom.index], motion.quaternion[rows, geom.index]
+    )
+    if when == "always":
+        draft.columns(entity, stage.states, rr.InstancePoses3D, 1, **pose)
+    else:
+        draft.log(entity, rr.InstancePoses3D, **pose)
 
 
 def draw_floor(draft: Draft, stage: Stage) -> None:

@@ -45,6 +45,8 @@ def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) 
     quaternion (…, len(geoms), 4) wxyz.
     """
     xyzw = np.roll(quaternion, -1, axis=-1).reshape(-1, 4)
+    if kind == "mesh":
+        return {"translations": position.reshape(-1, 3), "quaternions": xyzw}
     if kind == "capsule":
         # The viewer's capsule starts at its origin and runs along +z; MuJoCo's is centred on it.
         half = np.array([geom.size[1] for geom in geoms])

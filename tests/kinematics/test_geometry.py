@@ -13,14 +13,14 @@ from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT, support_margin
 from coordlog.kinematics.geometry import Geometry, Motion, hull
 from coordlog.mjcf import compose
-from coordlog.sim.env import settled
+from coordlog.sim.settling import settled
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
 
 def geometry(name):
     scene = SCENES[name]
-    model = mujoco.MjModel.from_xml_string(compose(scene, EnvConfig()))
+    model = mujoco.MjModel.from_xml_string(compose(scene, EnvConfig()).text)
     return Geometry(model, scene.robot, settled(scene.robot, model, "stand")), model
 
 
@@ -112,7 +112,7 @@ def test_support_polygons_of_a_motion_are_those_of_each_step():
 
 def test_what_does_not_fit_is_said():
     scene = SCENES["free"]
-    model = mujoco.MjModel.from_xml_string(compose(scene, EnvConfig()))
+    model = mujoco.MjModel.from_xml_string(compose(scene, EnvConfig()).text)
     with pytest.raises(FormatError, match=r"expected .* numbers for the attached model"):
         Geometry(model, scene.robot, np.zeros(7))
     noses = replace(scene.robot, arms=tuple(replace(arm, palm="nose") for arm in scene.robot.arms))

@@ -11,7 +11,7 @@ from coordlog.tasks.scene import SCENES
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_joint_with_one_angle_is_named_with_its_place_in_qpos_and_qvel(name):
-    model = mujoco.MjModel.from_xml_string(compose(SCENES[name], EnvConfig()))
+    model = mujoco.MjModel.from_xml_string(compose(SCENES[name], EnvConfig()).text)
     found = hinges(model)
     assert len(found) == model.nu  # one servo per joint on every robot that ships
     for joint in found:

@@ -2,10 +2,10 @@ import json
 
 import numpy as np
 import pytest
-from test_reader import bad_files
 
 from coordlog.record.info import summarise
 from coordlog.record.writer import write_episode
+from tests.record.test_reader import bad_files
 from tests.synthetic import ATTACHMENTS, make_episode, make_header
 
 

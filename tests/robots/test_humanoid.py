@@ -9,7 +9,7 @@ import pytest
 
 from coordlog.mjcf import compile_model, compose
 from coordlog.robots.humanoid import HUMANOID
-from coordlog.sim.env import settled
+from coordlog.sim.settling import settled
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import find
 

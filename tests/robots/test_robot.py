@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from coordlog.errors import ConfigError, FormatError, SimulationError
+from coordlog.errors import ConfigError
 from coordlog.mjcf import compile_model, compose
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.robots.planar import PLANAR
@@ -51,7 +51,7 @@ def test_no_stand_pose_is_refused():
 def test_an_unknown_joint_is_named():
     robot = replace(HUMANOID, shared=("waist", *HUMANOID.shared))
     with pytest.raises(
-        ConfigError, match=r"'humanoid': its spec names something its model lacks: .*waist"
+        ConfigError, match=r"'humanoid': its spec names a joint 'waist', but its model has abs_x"
     ):
         build(robot)
 
@@ -60,26 +60,25 @@ def test_a_joint_without_a_servo_is_named():
     robot = replace(
         HUMANOID,
         mjcf=HUMANOID.mjcf.replace(
-            '<position name="abs_z" joint="abs_z"', '<position name="other" joint="abs_z"'
+            '<position name="abs_z" joint="abs_z"', '<position name="other" joint="l_knee_y"'
         ),
     )
-    with pytest.raises(ConfigError, match="abs_z"):
+    with pytest.raises(
+        ConfigError, match="joint 'abs_z' has no position servo, it has no actuator"
+    ):
         build(robot)
 
 
 def test_a_missing_sole_is_named():
-    with pytest.raises(ConfigError, match="expected a box geom called 'toe' as a sole"):
+    with pytest.raises(ConfigError, match="expected a geom called 'toe' as a sole, found none"):
         build(replace(HUMANOID, soles=("l_foot_sole", "toe")))
-
-
-def test_a_sole_that_is_no_box_is_refused():
-    with pytest.raises(ConfigError, match="expected a box geom called 'l_thigh_0' as a sole"):
-        build(replace(HUMANOID, soles=("l_foot_sole", "l_thigh_0")))
 
 
 def test_a_missing_palm_is_named():
     arms = (replace(HUMANOID.arms[0], palm="third_palm"), HUMANOID.arms[1])
-    with pytest.raises(SimulationError, match=r"MuJoCo says: .*third_palm"):
+    with pytest.raises(
+        ConfigError, match="arm 'left': expected a site or a body called 'third_palm' as its palm"
+    ):
         build(replace(HUMANOID, arms=arms))
 
 
@@ -87,7 +86,9 @@ def test_a_robot_without_bodies_is_refused():
     empty = Robot(
         "ghost", "<mujoco><worldbody/></mujoco>", (Arm("a", "p", ("j",)),), poses={"stand": {}}
     )
-    with pytest.raises(ConfigError, match="robot 'ghost': expected a body in its model"):
+    with pytest.raises(
+        ConfigError, match=r"robot 'ghost': .*expected a body in its model, found none"
+    ):
         compose(Scene("s", "", empty), EnvConfig())
 
 
@@ -116,21 +117,9 @@ def start(**changes):
 
 def test_a_model_that_is_no_xml_is_refused():
     with pytest.raises(
-        ConfigError, match="robot 'planar': expected its model as MJCF text: no element found"
+        ConfigError, match="robot 'planar': expected its model as MJCF or URDF that MuJoCo takes"
     ):
         start(mjcf="<mujoco>")
-
-
-def test_an_action_joint_without_a_range_is_named():
-    with pytest.raises(
-        ConfigError,
-        match="robot 'planar': expected a range for joint 'base_1', which the action moves",
-    ):
-        start(
-            mjcf=PLANAR.mjcf.replace(
-                'axis="0 0 1" range="-3.14159 3.14159"', 'axis="0 0 1"'
-            ).replace(' inheritrange="1"', "")
-        )
 
 
 def test_a_pose_of_an_unknown_joint_is_named():
@@ -147,13 +136,3 @@ def test_a_pose_outside_a_range_is_named():
         match="robot 'planar': its pose 'stand' has left_1 at 3 rad, outside its range -2 to 2",
     ):
         start(poses={"stand": {"left_1": 3.0}})
-
-
-def test_a_model_that_needs_files_is_refused_before_anything_is_recorded():
-    meshes = PLANAR.mjcf.replace(
-        "<worldbody>", '<asset><mesh name="hand" file="hand.stl"/></asset><worldbody>'
-    )
-    with pytest.raises(
-        FormatError, match="has file= in <mesh>: expected a model that reads no other file"
-    ):
-        start(mjcf=meshes)

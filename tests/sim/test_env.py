@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import zstandard
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
+from coordlog.episode import INITIAL_STATE, MODEL_XML
 from coordlog.errors import ConfigError
 from coordlog.kinematics.balance import support_margin
 from coordlog.policies.expert import Expert
 from coordlog.policies.noise import Random
-from coordlog.sim.env import BatchEnv, settled
+from coordlog.sim.env import BatchEnv
+from coordlog.sim.settling import settled
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.scene import SCENES, find
 from tests.contracts import EnvContract
@@ -283,11 +284,8 @@ def test_a_hand_on_the_table_is_a_collision_with_names():
 def test_the_attachments_are_enough_to_simulate_the_episode_again(name):
     env = started(name, n=2)
     files, unpack = env.attachments(1), zstandard.ZstdDecompressor().decompress
-    text, binary = unpack(files[MODEL_XML]), unpack(files[MODEL_MJB])
-    models = (
-        mujoco.MjModel.from_xml_string(text.decode()),
-        mujoco.MjModel.from_binary_path("m.mjb", {"m.mjb": binary}),
-    )
+    models = (mujoco.MjModel.from_xml_string(unpack(files[MODEL_XML]).decode()),)
+    assert set(files) == {MODEL_XML, INITIAL_STATE}
     start = np.frombuffer(files[INITIAL_STATE])
     config, action = (
         env.task.config,

@@ -7,8 +7,9 @@ import pytest
 
 from coordlog.episode import CONTACT
 from coordlog.mjcf import compile_model, compose
-from coordlog.sim.env import BatchEnv, settled
+from coordlog.sim.env import BatchEnv
 from coordlog.sim.physics import DIVERGED, Physics, deepest
+from coordlog.sim.settling import settled
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES, find, sphere_geom
 
@@ -19,9 +20,9 @@ AHEAD = np.array([0.10, 0.0, 0.0])
 
 def model_of(name, **changes):
     """A scene's model; `cone` replaces the friction cone."""
-    text = compose(find(name), EnvConfig())
+    text = compose(find(name), EnvConfig()).text
     for old, new in changes.items():
-        text = text.replace(f'{old}="pyramidal"', f'{old}="{new}"')
+        text = text.replace("<option ", f'<option {old}="{new}" ')
     return compile_model(text)
 
 

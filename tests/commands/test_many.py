@@ -1,0 +1,184 @@
+"""The commands of many episodes: exit codes, one sentence for what is wrong, the same answers whoever
+worked them out."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner, Result
+
+from coordlog.cli import app
+from coordlog.errors import CoordlogError
+from coordlog.parallel import mapped, shard, workers
+
+DATA = Path(__file__).parents[1] / "data" / "v1"
+run = CliRunner()
+
+
+@pytest.fixture
+def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(DATA / "table", "logs/table")
+    shutil.copytree(DATA / "planar", "logs/planar")
+    return Path("logs")
+
+
+def answer(*arguments: object, code: int = 0) -> Result:
+    result = run.invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def refusal(*arguments: object) -> str:
+    result = run.invoke(app, [str(each) for each in arguments])
+    assert isinstance(result.exception, CoordlogError), result.output
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
+
+
+def rows(*arguments: object, code: int = 0) -> list[dict[str, object]]:
+    found: list[dict[str, object]] = json.loads(answer(*arguments, "--json", code=code).stdout)
+    return found
+
+
+def test_index_then_query(logs: Path) -> None:
+    (report,) = rows("index", logs)
+    assert (report["episodes"], report["new"]) == (4, 4)
+    assert rows("index", logs, "--compact")[0]["new"] == 0
+    sql = "select scene, count(*) as n from episodes group by all order by scene"
+    assert rows("query", sql) == [{"scene": "planar", "n": 1}, {"scene": "table", "n": 3}]
+    assert "planar" in answer("query", sql, logs, "--no-scan").stdout
+    assert (
+        rows("query", "select count(*) n from steps", logs, "--steps", "--where", "scene='table'")[
+            0
+        ]["n"]
+        == 198
+    )
+
+
+def test_what_is_broken_is_named_and_the_rest_is_answered(logs: Path) -> None:
+    (logs / "bad.mcap").write_bytes(b"")
+    result = answer("index", logs, code=3)
+    assert "bad.mcap: the file is empty" in result.stderr
+    result = answer("query", "select count(*) n from episodes", logs, "--json", code=3)
+    assert json.loads(result.stdout) == [{"n": 4}]
+    assert "bad.mcap" in result.stderr
+
+
+def test_verify_finds_other_bytes(logs: Path) -> None:
+    import os
+
+    answer("index", logs)
+    path = min(logs.glob("table/*.mcap"))
+    status, data = path.stat(), bytearray(path.read_bytes())
+    data[-100] ^= 1
+    path.write_bytes(data)
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    result = answer("index", logs, "--verify", code=1)
+    assert "its bytes were changed" in result.stdout
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json", "parquet"])
+def test_every_row_goes_into_a_file_that_was_not_there(logs: Path, suffix: str) -> None:
+    sql = "select path, length, returns from episodes order by path"
+    wanted = rows("query", sql)
+    out = Path(f"rows.{suffix}")
+    answer("query", sql, "--out", out)
+    if suffix == "parquet":
+        assert pq.read_table(out).to_pylist() == wanted
+    elif suffix == "json":
+        assert json.loads(out.read_text()) == wanted
+    else:
+        with out.open() as stream:
+            got = list(csv.DictReader(stream))
+        assert [row["path"] for row in got] == [row["path"] for row in wanted]
+        assert [json.loads(row["returns"]) for row in got] == [row["returns"] for row in wanted]
+    assert "not overwritten" in refusal("query", sql, "--out", out)
+    assert ".csv, .json, .parquet" in refusal("query", sql, "--out", "rows.xlsx")
+
+
+def test_select_and_its_manifest_wherever_a_folder_goes(logs: Path) -> None:
+    made = rows("select", logs, "--where", "scene = 'table'", "--split", "0.5,0.5", "--by", "digest",
+                "--out", "table.manifest")  # fmt: skip
+    assert made["episodes"] == 3  # type: ignore[call-overload]
+    assert len(rows("info", "table.manifest")["episodes"]) == 3  # type: ignore[call-overload]
+    again = rows(
+        "select", "table.manifest", logs, "--where", "scene = 'table'", "--out", "b.manifest"
+    )
+    assert answer("diff", "table.manifest", "b.manifest").stdout.startswith("3 episodes in both")
+    assert again["hash"] == made["hash"]  # type: ignore[call-overload]
+    answer("diff", logs, "table.manifest", code=1)
+    assert "--force" in refusal("select", logs, "--out", "table.manifest")
+    answer("select", logs, "--out", "table.manifest", "--force")
+    assert len(list(Path().glob("table@*.manifest"))) == 1
+    assert "ends in .manifest" in refusal("select", logs, "--out", "table")
+    assert "no episode satisfies" in refusal(
+        "select", logs, "--where", "false", "--out", "c.manifest"
+    )
+
+
+def test_a_manifest_whose_episodes_are_gone_lists_them(logs: Path) -> None:
+    answer("select", logs, "--out", "all.manifest")
+    path = min(logs.glob("table/*.mcap"))
+    path.unlink()
+    result = answer("query", "select count(*) n from episodes", "all.manifest", code=3)
+    assert f"{path.name}: gone" in result.stderr
+
+
+def test_pack_and_back(logs: Path) -> None:
+    answer("pack", logs, "--out", "PACK")
+    assert "4 were there" in answer("pack", logs, "--out", "PACK").stdout
+    answer("diff", logs, "PACK")
+    assert "all sound" in answer("check", "PACK", "--level", "content", "--jobs", "1").stdout
+    answer("unpack", "PACK", "--out", "back")
+    for path in logs.rglob("*.mcap"):
+        assert (Path("back") / path.relative_to(logs)).read_bytes() == path.read_bytes()
+
+
+def test_shares_of_the_work_make_the_whole(logs: Path) -> None:
+    for i in (1, 2, 3):
+        answer("pack", logs, "--out", "PACK", "--shard", f"{i}/3")
+    assert answer("diff", logs, "PACK").exit_code == 0
+    for text in ("0/3", "4/3", "3", "a/b", "1/0"):
+        assert refusal("pack", logs, "--out", "PACK", "--shard", text).startswith(
+            "--shard: expected"
+        )
+
+
+def test_recording_a_share_into_a_pack_gives_those_files_of_a_folder(tmp_path: Path) -> None:
+    same = ("--scene", "free", "--policy", "random", "--episodes", 2, "--epoch", 1, "--envs", 1)
+    answer("record", *same, "--out", tmp_path / "logs")
+    answer("record", *same, "--shard", "2/2", "--pack", "--out", tmp_path / "PACK")
+    answer("unpack", tmp_path / "PACK", "--out", tmp_path / "back")
+    (path,) = (tmp_path / "back").iterdir()
+    assert "-000001-" in path.name
+    assert path.read_bytes() == (tmp_path / "logs" / path.name).read_bytes()
+
+
+def test_what_is_not_there_is_said(logs: Path) -> None:
+    assert "no such file or folder" in refusal("query", "select 1", "nothing")
+    assert "has no catalogue yet" in refusal("query", "select 1", logs, "--no-scan")
+    assert "--jobs: expected a number" in refusal("index", logs, "--jobs", "many")
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_answers_come_in_the_order_of_the_items(jobs: str) -> None:
+    assert list(mapped(abs, range(-5, 5), jobs=jobs)) == [abs(i) for i in range(-5, 5)]
+
+
+def test_shards_are_disjoint_and_make_the_whole() -> None:
+    for n in range(1, 9):
+        parts = [list(shard(range(20), f"{i}/{n}")) for i in range(1, n + 1)]
+        assert sorted(each for part in parts for each in part) == list(range(20))
+    assert shard(range(3), "") == range(3)
+    assert [workers(text) for text in (0, "3", "ray", "ray://host:1")] == [
+        0,
+        3,
+        "ray",
+        "ray://host:1",
+    ]
