@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from coordlog.errors import ConfigError
+from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf.printing import Source, printed
 from coordlog.robots.robot import Arm, Robot
 
@@ -301,3 +301,22 @@ def _hull(model: mujoco.MjModel, mesh: int) -> bytes:
     return "".join(
         f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in places + model.mesh_pos[mesh] + 0.0
     ).encode()
+
+
+def verbatim(file: Path) -> Source | None:
+    """A model file with the files it needs to collide, and nothing reduced: what compiles to the
+    very physics it compiles to where it lies. None where MuJoCo or the files do not allow it.
+    """
+    robot = Robot(file.stem, file, (Arm("none", "none", ()),), poses={"stand": {}})
+    try:
+        spec = _read(robot)
+        visual = _drop_pictures(spec)
+        if any(not geom.parent.explicitinertial for geom in visual):
+            visual = []
+        _delete(spec, visual)
+        files = _files(spec, robot)
+        spec.assets = files
+        spec.compile()
+        return Source(printed(spec), files)
+    except (ConfigError, SimulationError, ValueError):
+        return None
