@@ -118,7 +118,7 @@ class EpisodeLog:
             raise SimulationError(f"step {self.length} cannot be replayed: {error}") from None
         for change in followed.changes:
             self._changes.append((self.length, change.substep, change.row))
-        self.set_from_outside += bool(followed.changes)
+        self.set_from_outside += followed.outside
         row = dict(self._seen)
         row["action"] = _flat(action).astype(np.float32)
         row["reward"] = _flat(reward).astype(np.float64)

@@ -121,6 +121,8 @@ class Followed(NamedTuple):
 
     substeps: int
     changes: list[Change]
+    outside: bool = False
+    """Whether the state was set from outside, and not only the inputs."""
 
 
 class Shadow:
@@ -211,7 +213,7 @@ class Shadow:
                 changes.append(Change(substeps, wanted))
             _own["mj_step"](self._model, self._data)
             substeps += 1
-        return Followed(substeps, changes)
+        return Followed(substeps, changes, outside=moved)
 
     def _set_after(self, now: Array, end: Array, best: tuple[float, Followed]) -> Followed:
         """A step after which the environment set part of the state itself."""
@@ -225,7 +227,8 @@ class Shadow:
             )
         changes = [change for change in found.changes if change.substep < found.substeps]
         self._set(end)
-        return Followed(found.substeps, [*changes, Change(found.substeps, end)])
+        last = Change(found.substeps, end)
+        return Followed(found.substeps, [*changes, last], outside=True)
 
     @staticmethod
     def _constant(end: Array) -> Callable[[Array], Array]:
