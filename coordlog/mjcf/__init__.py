@@ -7,6 +7,7 @@ what is simulated is compiled from that print, which is what the log holds.
 from coordlog.mjcf.attached import (
     ASSETS,
     MAX_BYTES,
+    is_plain_model,
     load_attached,
     load_model,
     pack_source,
@@ -27,6 +28,7 @@ __all__ = [
     "compile_model",
     "compose",
     "held_controls",
+    "is_plain_model",
     "load_attached",
     "load_model",
     "model_alone",
