@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
 
-from coordlog.mjcf.attached import pack_source
+from coordlog.mjcf.attached import load_attached, pack_source
+from coordlog.mjcf.printing import full_precision
 from coordlog.mjcf.source import verbatim
 
 ASIDE = (
@@ -42,10 +44,36 @@ ASIDE = (
 elements; that the physics is the same is shown by simulating each step again."""
 
 
-def text_of(file: Path) -> dict[str, bytes]:
-    """A model file as a log's attachments; empty where it cannot be taken along."""
-    source = verbatim(file)
-    return {} if source is None else pack_source(source)
+def text_of(model: mujoco.MjModel, source: Path | str | None = None) -> dict[str, bytes]:
+    """A compiled model as a log's attachments: its text, with what has been changed in it since it
+    was compiled, and the files it needs to collide.
+
+    Args:
+        model: As somebody else has compiled it.
+        source: The file or the text it was compiled from; None for what MuJoCo compiled last.
+
+    Returns:
+        Nothing where there is no text that compiles to the same physics.
+    """
+    attached = {}
+    for given in (source, _last(model)):
+        found = None if given is None else verbatim(given, model)
+        if found is not None:
+            attached = pack_source(found)
+            if same_physics(load_attached(attached), model):
+                return attached
+    return {}
+
+
+def _last(model: mujoco.MjModel) -> str | None:
+    """The text of the model that MuJoCo compiled last, if it is this one."""
+    with TemporaryDirectory() as folder, full_precision():
+        path = Path(folder) / "last.xml"
+        try:
+            mujoco.mj_saveLastXML(str(path), model)
+            return path.read_text(encoding="utf-8")
+        except (mujoco.FatalError, ValueError, OSError, TypeError):
+            return None
 
 
 def same_physics(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:

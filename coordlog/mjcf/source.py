@@ -303,20 +303,23 @@ def _hull(model: mujoco.MjModel, mesh: int) -> bytes:
     ).encode()
 
 
-def verbatim(file: Path) -> Source | None:
-    """A model file with the files it needs to collide, and nothing reduced: what compiles to the
-    very physics it compiles to where it lies. None where MuJoCo or the files do not allow it.
+def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
+    """The text of a model, and the files it needs to collide, with nothing reduced: what compiles
+    to the very physics of a compiled model, as that has been changed since. None where MuJoCo or
+    its files do not allow it.
     """
-    robot = Robot(file.stem, file, (Arm("none", "none", ()),), poses={"stand": {}})
+    name = given.stem if isinstance(given, Path) else "model"
+    robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
     try:
         spec = _read(robot)
+        spec.compile()
+        spec.copy_back(model)
         visual = _drop_pictures(spec)
-        if any(not geom.parent.explicitinertial for geom in visual):
-            visual = []
-        _delete(spec, visual)
+        if not any(not geom.parent.explicitinertial for geom in visual):
+            _delete(spec, visual)
         files = _files(spec, robot)
         spec.assets = files
         spec.compile()
         return Source(printed(spec), files)
-    except (ConfigError, SimulationError, ValueError):
+    except (ConfigError, SimulationError, ValueError, RuntimeError):
         return None

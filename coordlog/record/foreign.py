@@ -23,11 +23,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import zstandard
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, Array, Header, Json
+from coordlog.episode import INITIAL_STATE, Array, Header, Json
 from coordlog.errors import ConfigError, SimulationError, SpecError
-from coordlog.mjcf import MAX_BYTES, actuator_label, load_attached, same_physics, text_of
+from coordlog.mjcf import actuator_label, load_attached, text_of
 from coordlog.record.writer import BLOCK, EpisodeWriter
 from coordlog.sim.env import hinges
 from coordlog.sim.foreign import SUBSTEPS, TASK, Followed, Shadow, Watch, state_of
@@ -321,28 +320,22 @@ def numbers(info: Mapping[str, Any]) -> dict[str, Array]:
     return found
 
 
-def attachments_of(model: mujoco.MjModel, file: Path | None = None) -> dict[str, bytes]:
-    """A model that somebody else has compiled, as attachments: its own text, where the file it came
-    of is known and compiles to the same physics; else the compiled model.
+def attachments_of(model: mujoco.MjModel, source: Path | str | None = None) -> dict[str, bytes]:
+    """A model that somebody else has compiled, as attachments.
+
+    Args:
+        model: As it is simulated.
+        source: The file or the text it was compiled from; None for what MuJoCo compiled last.
 
     Raises:
-        ConfigError: if the model is larger than what is opened again.
+        ConfigError: if no text is known that compiles to the same physics.
     """
-    if file is not None:
-        attached = text_of(file)
-        if attached and same_physics(load_attached(attached), model):
-            return attached
-    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    content = buffer.tobytes()
-    paths = bytes(model.paths) if isinstance(model.paths, bytes) else b""
-    if len(paths) > 1:  # the folders of this machine are nobody's business
-        content = content.replace(paths, b"\0" * len(paths))
-    if len(content) > MAX_BYTES:
+    attached = text_of(model, source)
+    if not attached:
         raise ConfigError(
-            f"the model: expected at most {MAX_BYTES >> 20} MiB, got {len(content) / (1 << 20):.0f} MiB compiled: simplify its meshes"
+            "the text that the model was compiled from is not known, or compiles to other physics: give it as `source`, a path or MJCF text"
         )
-    return {MODEL_MJB: zstandard.ZstdCompressor(level=6).compress(content)}
+    return attached
 
 
 def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -383,7 +376,13 @@ class Recorder:
     """
 
     def __init__(
-        self, env: Any, out: str | Path = "logs", *, policy: Json | None = None, verify: bool = True
+        self,
+        env: Any,
+        out: str | Path = "logs",
+        *,
+        policy: Json | None = None,
+        verify: bool = True,
+        source: Path | str | None = None,
     ) -> None:
         """Find the simulation; files appear as episodes end.
 
@@ -392,14 +391,17 @@ class Recorder:
             out: Folder; files already in it stay as they are.
             policy: What is known of who acts: kind, name, checkpoint_sha256.
             verify: Take each step again while recording.
+            source: The file or the text that its model was compiled from, where the environment
+                does not say it.
 
         Raises:
-            ConfigError: if there is no MuJoCo in it.
+            ConfigError: if there is no MuJoCo in it, or the text of its model is not known.
         """
-        simulation_of(env)
         self._env, self._out, self._policy, self._verify = env, Path(out), policy or {}, verify
+        self._source = source if source is not None else _file_of(env)
+        model, _ = simulation_of(env)
+        self._attached = attachments_of(model, self._source)
         self._log: EpisodeLog | None = None
-        self._attached: dict[str, bytes] = {}
         self.run = uuid.uuid4().hex[:8]
         self.files: list[Path] = []
         """Files that were begun, in order."""
@@ -416,9 +418,7 @@ class Recorder:
         self._end("reset")
         observation, info = self._env.reset(**options)
         model, data = simulation_of(self._env)
-        fresh = attachments_of(model, _file_of(self._env))
-        if fresh != self._attached:
-            self._attached = fresh
+        self._attached = self._attached or attachments_of(model, self._source)
         name, index = self._name(), len(self.files)
         path = self._out / f"{name}-{index:06d}-{self.run}.mcap"
         about = {
@@ -504,6 +504,7 @@ def recording(
     name: str = "simulation",
     observation: Any = None,
     verify: bool = True,
+    source: Path | str | None = None,
 ) -> Iterator[EpisodeLog]:
     """Record one episode of a loop of one's own, from the present state on.
 
@@ -514,6 +515,11 @@ def recording(
         name: What the scene is called.
         observation: What the policy sees first.
         verify: Take each step again while recording.
+        source: The file or the text that the model was compiled from; None for what MuJoCo compiled
+            last.
+
+    Raises:
+        ConfigError: if the text of the model is not known.
 
     Example:
         >>> with recording(model, data, "logs/") as log:           # doctest: +SKIP
@@ -535,7 +541,7 @@ def recording(
         model,
         data,
         path,
-        attached=attachments_of(model),
+        attached=attachments_of(model, source),
         about={"episode": episode},
         observation=observation,
         verify=verify,
