@@ -8,11 +8,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-import zstandard
 
-from coordlog.episode import MODEL_XML, Array
+from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
-from coordlog.mjcf import compose, load_model
+from coordlog.mjcf import compose, load_attached, pack_source
+from coordlog.mjcf.source import whole
+from coordlog.robots.card import read_tables, robot_of
+from coordlog.robots.robot import Arm, Robot
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES, find
 
@@ -36,7 +38,7 @@ class RobotModel(NamedTuple):
 
 
 def read_model(given: str) -> RobotModel:
-    """The model of a MJCF or URDF file, or of one of our scenes.
+    """The model of a MJCF or URDF file, of a robot's card, or of one of our scenes.
 
     Raises:
         ConfigError: if there is no such file or scene, or it does not compile.
@@ -44,21 +46,25 @@ def read_model(given: str) -> RobotModel:
     path = Path(given)
     if not path.exists() and given in SCENES:
         scene = find(given)
-        frame = _frame(compose(scene, EnvConfig()))
-        return RobotModel(scene.robot.name, load_model(frame, None), {MODEL_XML: frame})
-    if not path.is_file():
+        name, source = scene.robot.name, compose(scene, EnvConfig())
+    elif path.is_file():
+        robot = _robot(path)
+        name, source = robot.name, whole(robot)
+    else:
         raise ConfigError(
-            f"--robot {given}: expected a MJCF or URDF file, or a scene: {', '.join(sorted(SCENES))}"
+            f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: {', '.join(sorted(SCENES))}"
         )
+    attachments = pack_source(source)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
-        frame = _frame(spec.to_xml())
-        model = load_model(frame, None)  # what the log carries, loaded as it will be
-    except (ValueError, FormatError) as error:
-        raise ConfigError(f"--robot {given}: {str(error).splitlines()[0]}") from error
-    return RobotModel(path.stem, model, {MODEL_XML: frame})
+        model = load_attached(attachments)  # what the log carries, loaded as it will be
+    except FormatError as error:
+        raise ConfigError(f"--robot {given}: {error}") from error
+    return RobotModel(name, model, attachments)
 
 
-def _frame(text: str) -> bytes:
-    return zstandard.ZstdCompressor(level=19).compress(text.encode())
+def _robot(path: Path) -> Robot:
+    """The robot of a card, or of a bare model whose arms nobody needs to know here."""
+    if path.suffix == ".toml":
+        return robot_of(read_tables(path), path.parent)
+    arm = Arm("all", palm="", joints=())
+    return Robot(path.stem, path, (arm,), poses={"stand": {}})
