@@ -14,7 +14,7 @@ import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 from coordlog.record.reader import read_attachments, read_episode, read_summary
 
 JITTER = 0.03
