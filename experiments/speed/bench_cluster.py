@@ -23,8 +23,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from coordlog.commands.check import check_files
 from coordlog.commands.smoothing import Job, smooth_file
+
+from coordlog.commands.check import check_files
 from coordlog.parallel import batches, mapped
 
 ROOT = Path(__file__).parents[2]
