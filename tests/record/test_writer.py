@@ -231,7 +231,9 @@ def test_columns_of_another_shape_or_type_are_named(tmp_path, episode):
 
 
 def test_a_header_of_another_schema_version_is_refused(tmp_path):
-    with pytest.raises(SpecError, match="header: schema version 3; this release reads versions 1 to 2"):
+    with pytest.raises(
+        SpecError, match="header: schema version 3; this release reads versions 1 to 2"
+    ):
         EpisodeWriter(
             tmp_path / "a.mcap", make_header(TINY, schema_version=3), attachments={}, display=False
         )
