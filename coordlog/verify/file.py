@@ -169,6 +169,8 @@ def _messages(found: Contents, episode: Episode) -> Iterator[Problem]:
     start = _COMPARED if found.own else _RECORDED
     for topic in (*encoder.messages, JOINT_STATE_TOPIC):
         stream, message = found.stream(topic), encoder.messages.get(topic)
+        if message is None and not stream.records:
+            continue
         if message is not None and stream.columns != tuple(map(column, message.fields)):
             continue
         records = wanted[topic].records if topic in wanted else []
