@@ -115,6 +115,7 @@ def _indexed(file: Path, chunk: bytes, content: memoryview) -> _Part:
 
 
 def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
+    _require_whole(file)
     try:
         connection = sqlite3.connect(f"file:{file}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error as error:
@@ -133,6 +134,17 @@ def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
         joined = b"".join(found[i][1] for i in places.tolist())
         groups.append((places, np.frombuffer(joined, np.uint8).reshape(len(places), size)))
     yield np.array([time for time, _ in found], np.int64), groups
+
+
+def _require_whole(file: Path) -> None:
+    """SQLite opens a file that was cut off and gives the rows that are left: look at its size."""
+    with file.open("rb") as stream:
+        head = stream.read(100)
+    page = int.from_bytes(head[16:18], "big")
+    wanted = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
+    size = file.stat().st_size
+    if len(head) < 100 or size < wanted:
+        raise FormatError(f"{file}: expected {wanted} bytes, got {size}: the file was cut off")
 
 
 def _by_size(sizes: Array) -> Iterator[tuple[int, Array]]:

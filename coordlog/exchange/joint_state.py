@@ -54,7 +54,7 @@ def decode(frames: Frames, where: str) -> JointStates:
         for rows in _alike_counts(data):
             part = data[rows]
             at = places[rows]
-            own, order, end = _ordered(part, f"{where}: message {at[0]}")
+            own, order, end = _ordered(part, where, at)
             if not names:
                 names = own
                 position, velocity = np.full((2, count, len(names)), np.nan)
@@ -82,20 +82,24 @@ def _alike_counts(data: Array) -> list[Array]:
     return [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
 
 
-def _ordered(data: Array, where: str) -> tuple[tuple[str, ...], Array, int]:
+def _ordered(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array, int]:
     """Names of the first row, each row's names as places among them (n, joints), and where the
     names end.
     """
+    where = f"{topic}: message {at[0]}"
     start = _aligned(16 + int(np.ascontiguousarray(data[0, 12:16]).view("<u4")[0]))
     names, end = _names(data[0].tobytes(), start, where)
     if (data[:, start:end] == data[0, start:end]).all():
         order = np.broadcast_to(np.arange(len(names)), (len(data), len(names)))
         return names, order, end
     region = np.ascontiguousarray(data[:, start:end])
-    rows, inverse = np.unique(region.view(f"V{end - start}")[:, 0], return_inverse=True)
+    rows, first, inverse = np.unique(
+        region.view(f"V{end - start}")[:, 0], return_index=True, return_inverse=True
+    )
     place = {name: i for i, name in enumerate(names)}
     table = np.zeros((len(rows), len(names)), np.int64)
     for i, row in enumerate(rows):
+        where = f"{topic}: message {at[first[i]]}"
         own, own_end = _names(bytes(start) + row.tobytes(), start, where)
         if set(own) != set(names) or own_end != end:
             _refuse(set(own) ^ set(names), where)

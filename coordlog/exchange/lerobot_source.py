@@ -53,12 +53,14 @@ def motions(path: Path, *, state: str = "", action: str = "") -> Iterator[Motion
     key = state or STATE
     names = joint_names(path, info, key)
     wanted = action or ACTION
-    acts = wanted in info["features"] and _names(info["features"][wanted]) == _names(
-        info["features"][key]
+    acts = (
+        wanted != key
+        and wanted in info["features"]
+        and _names(info["features"][wanted]) == _names(info["features"][key])
     )
     columns = [key, *([wanted] if acts else [])]
     notes = _videos(info)
-    if wanted in info["features"] and not acts:
+    if wanted != key and wanted in info["features"] and not acts:
         notes += (f"{wanted} is of other joints than {key}, and was not taken",)
     opened: tuple[Path, pa.Table] | None = None
     for rows in episodes(path, info):

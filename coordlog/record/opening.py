@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -29,6 +30,7 @@ from coordlog.record.records import (
     walk,
 )
 from coordlog.record.storage import translated
+from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
 
@@ -70,8 +72,10 @@ def opened(path: File) -> Iterator[int]:
             return
         if os.path.isdir(path):
             raise FormatError("a folder, not an episode file; coordlog.open reads folders")
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # of a pipe: no wait
         try:
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise FormatError("expected a file, got a pipe, a socket or a device")
             yield fd
         finally:
             os.close(fd)
@@ -156,7 +160,10 @@ def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
     if len(data) < len(MAGIC) and MAGIC.startswith(data):
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
     if data[: len(MAGIC)] != MAGIC:
-        raise FormatError("not an MCAP file; expected an episode written by coordlog")
+        what = recognise(data)
+        raise FormatError(
+            f"not an MCAP file; expected an episode written by coordlog{what and ', got '}{what}"
+        )
     span = next(walk(data), Span(0, 0, 0))
     if span.opcode == 0 and whole:
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
@@ -169,7 +176,10 @@ def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
     said = printable(
         bytes(data[span.start : min(span.end, span.start + 200)]).decode("ascii", "replace")
     )
-    raise FormatError(f"an MCAP file, but not a coordlog episode: its header says '{said}'")
+    raise FormatError(
+        f"an MCAP file, but not a coordlog episode: its header says '{said}';"
+        " `coordlog import` takes what ROS 2 wrote"
+    )
 
 
 def printable(text: str) -> str:

@@ -19,11 +19,17 @@ from tests.catalog.logs import write
 DATA = Path(__file__).parents[1] / "data" / "v1"
 
 
-@pytest.fixture
-def logs(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
     for number in range(40):
-        write(tmp_path / "logs" / f"{number:02}.mcap", number)
-    return tmp_path / "logs"
+        write(folder / f"{number:02}.mcap", number)
+    return folder
+
+
+@pytest.fixture
+def logs(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "logs"))
 
 
 @pytest.mark.parametrize("compact", [False, True])
