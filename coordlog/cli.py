@@ -11,7 +11,6 @@ import sys
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
 from coordlog.commands import (
     check,
@@ -29,12 +28,21 @@ from coordlog.commands import (
     scenes,
     select,
     smooth,
+    terminal,
     train,
     view,
 )
-from coordlog.commands.terminal import err
-from coordlog.errors import EXIT_INTERRUPTED, CoordlogError, missing_extra
+from coordlog.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    CoordlogError,
+    missing_extra,
+)
 from coordlog.version import __version__
+
+DEBUG = "COORDLOG_DEBUG"
+"""Set it, and an unforeseen error shows where it came from."""
 
 app = typer.Typer(
     name="coordlog",
@@ -81,22 +89,48 @@ def coordlog(
 
 def main() -> None:
     """Entry point of the console script."""
+    terminal.prepare_streams()
+    code = EXIT_BAD_INPUT
     try:
-        app()
+        app(standalone_mode=True)
+    except SystemExit as done:
+        code = done.code if isinstance(done.code, int) else EXIT_BAD_INPUT if done.code else EXIT_OK
     except CoordlogError as error:
-        err.print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
-        sys.exit(error.exit_code)
-    except ModuleNotFoundError as error:
-        missing = missing_extra(error)
-        if missing is None:
-            raise
-        err.print(Text.assemble(("error: ", "bold red"), str(missing)), soft_wrap=True)
-        sys.exit(missing.exit_code)
+        terminal.complain(error)
+        code = error.exit_code
     except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
-    except BrokenPipeError:  # the reader of our output has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        code = EXIT_INTERRUPTED
+    except Exception as error:
+        if os.environ.get(DEBUG):
+            raise
+        code = _unforeseen(error)
+    for stream in (sys.stdout, sys.stderr):  # nobody may be reading any more
+        try:
+            stream.flush()
+        except OSError:
+            terminal.forsake(stream)
+    sys.exit(code)
+
+
+def _unforeseen(error: Exception) -> int:
+    """One sentence about an error that no part of coordlog expected, and the exit code."""
+    if isinstance(error, BrokenPipeError):
+        terminal.forsake(sys.stdout)
+        return EXIT_OK
+    missing = missing_extra(error) if isinstance(error, ModuleNotFoundError) else None
+    if missing is not None:
+        terminal.complain(missing)
+    elif isinstance(error, OSError):  # a disk that is full, a device that is gone
+        where = f"{error.filename}: " if error.filename else ""
+        terminal.complain(f"{where}{error.strerror or error}")
+    elif isinstance(error, MemoryError):
+        terminal.complain(f"not enough memory: {error or 'try smaller inputs, or fewer at once'}")
+    else:
+        said = f"{type(error).__name__}: {error}"
+        terminal.complain(
+            f"a fault of coordlog itself, {said[:200]}; please report it with what {DEBUG}=1 prints"
+        )
+    return EXIT_BAD_INPUT
 
 
 if __name__ == "__main__":

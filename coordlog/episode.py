@@ -45,6 +45,7 @@ KINDS = ("simulated", "observed")
 
 FIELD_KEYS = ("name", "type", "size", "unit", "when")
 """What the header says of each field of a task."""
+_ACTUATED = tuple(item.name for item in STEP.fields if item.size == "n_c")
 LAYOUT_KEYS = tuple(item.name for item in fields(Layout))
 
 
@@ -124,8 +125,12 @@ class Header:
         return tuple(self.env["arms"])
 
     def current(self, *, n_c: int = 0) -> Header:
-        """This header as the present schema version says it; `n_c` actuators are logged."""
-        if self.version == SCHEMA_VERSION:
+        """This header, if it is of version 1, as the present version says it.
+
+        Args:
+            n_c: Number of actuators that are logged.
+        """
+        if self.version != 1:
             return self
         fields = [{key: getattr(item, key) for key in FIELD_KEYS} for item in self.task_fields]
         episode = self.episode | {"schema_version": SCHEMA_VERSION, "kind": self.kind}
@@ -223,6 +228,9 @@ class Episode:
             SpecError: if a column is missing, unknown, or not what `header.fields` says.
         """
         given = {**(columns or {}), **named}
+        for name in _ACTUATED:  # of no actuators: not logged
+            if name in given and not given[name].shape[-1]:
+                del given[name]
         if header.version == 1 and "ctrl" in given:
             header = header.current(n_c=given["ctrl"].shape[-1])
         declared, layout = header.fields, header.layout

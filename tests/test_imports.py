@@ -14,6 +14,8 @@ PACKAGE = Path(__file__).parents[1] / "coordlog"
 FLOORS = (
     {"version", "verbs"},
     {"errors"},
+    {"strangers"},
+    {"modest"},
     {"spec"},
     {"episode", "path"},
     {"contracts"},

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from coordlog.catalog.index import Catalog, Run, serial
 from coordlog.catalog.query import Source
@@ -127,8 +128,9 @@ def _manifest(path: Path, found: Gathered, *, scan: bool, run: Run) -> None:
 
 def _listed(source: Source, wanted: dict[str, manifest.Chosen]) -> pa.Table:
     """The rows of a source whose digests are wanted, their paths whole."""
-    table = source.rows if isinstance(source.rows, pa.Table) else source.rows.to_table()
-    table = table.select(KEPT.names)
+    table = (
+        pq.ParquetFile(source.rows).read() if isinstance(source.rows, Path) else source.rows
+    ).select(KEPT.names)
     table = table.filter(pc.is_in(table.column("digest"), value_set=pa.array(wanted, pa.string())))
     if source.prefix:
         head = pa.scalar(source.prefix.rstrip("/"))

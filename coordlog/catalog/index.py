@@ -16,12 +16,12 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from coordlog.catalog.rows import KEPT, Job, described, table_of, tombstones
@@ -102,17 +102,19 @@ class Catalog:
                 self._rows = newest(self._read(name) for name in self.parts())
         return self._rows
 
-    def source(self) -> pa.Table | ds.Dataset:
-        """The rows for a query that looks at a few columns; as `rows`, but a compact catalogue of
-        this machine is left on the disk.
+    def source(self) -> pa.Table | Path:
+        """The rows for a query that looks at a few columns: a table, or the file of a compact
+        catalogue of this machine.
         """
         parts = self.parts()
-        if self._rows is None and len(parts) == 1 and isinstance(self._place, Folder):
+        if len(parts) == 1 and isinstance(self._place, Folder):
             path = self._place.path / parts[0]
             with suppress(pa.ArrowInvalid, OSError):
-                about = pq.read_schema(path).metadata or {}
-                if about.get(b"coordlog_catalog") == EDITION.encode():
-                    return ds.dataset(path, format="parquet")
+                schema = pq.read_schema(path)
+                about = schema.metadata or {}
+                whole = about.get(b"coordlog_catalog") == EDITION.encode()
+                if whole and schema.names == KEPT.names:
+                    return path
         return self.rows()
 
     def episodes(self) -> pa.Table:
@@ -210,7 +212,7 @@ class Catalog:
     def _read(self, name: str) -> pa.Table:
         """One file of the catalogue; an empty table for one that cannot be used."""
         try:
-            table = pq.read_table(pa.BufferReader(self._place.read(name)))
+            table = pq.ParquetFile(pa.BufferReader(self._place.read(name))).read()
             about = table.schema.metadata or {}
             edition = about.get(b"coordlog_catalog", b"none").decode()
             if edition != EDITION or table.schema.names != KEPT.names:

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
-import pyarrow.dataset as ds
 
-from coordlog.catalog.rows import COLUMNS
+from coordlog.catalog.rows import COLUMNS, KEPT
 from coordlog.errors import ConfigError, CoordlogError
 from coordlog.parallel import batches
 from coordlog.record.dataset import open as open_logs
@@ -24,8 +23,7 @@ EXTRA = ("part", "label")
 GROUP = 32
 """Files that are decoded together for `steps`."""
 
-_CONFIG = {
-    "enable_external_access": "false",
+_CONFIG: dict[str, Any] = {
     "autoload_known_extensions": "false",
     "autoinstall_known_extensions": "false",
     "python_enable_replacements": "false",
@@ -35,7 +33,8 @@ _CONFIG = {
 class Source(NamedTuple):
     """Rows of one catalogue, and what stands before their paths."""
 
-    rows: pa.Table | ds.Dataset
+    rows: pa.Table | Path
+    """a table, or a Parquet file of such rows"""
     prefix: str
     """"" where paths are whole already"""
 
@@ -55,7 +54,11 @@ def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = F
     """
     import duckdb
 
-    with duckdb.connect(config=_CONFIG) as connection:  # type: ignore[arg-type]
+    files = [_quoted(str(each.rows)) for each in sources if isinstance(each.rows, Path)]
+    with duckdb.connect(config=_CONFIG) as connection:
+        # Only the catalogue's own files can be read, and nothing can be written, from here on.
+        connection.execute(f"set allowed_paths = [{', '.join(files)}]")
+        connection.execute("set enable_external_access = false")
         stream: StepStream | None = None
         try:
             _require_select(connection, sql)
@@ -94,15 +97,17 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
     """Make the view `episodes`."""
     selects = []
     for number, source in enumerate(sources):
-        connection.register(f"source{number}", source.rows)
-        names = set(source.rows.schema.names)
+        if isinstance(source.rows, Path):
+            text, names = f"read_parquet({_quoted(str(source.rows))})", set(KEPT.names)
+        else:
+            connection.register(f"source{number}", source.rows)
+            text, names = f"source{number}", set(source.rows.schema.names)
         prefix = source.prefix.rstrip("/") + "/" if source.prefix else ""
-        quoted = prefix.replace("'", "''")
-        columns = [f"'{quoted}' || path as path" if prefix else "path"]
+        columns = [f"{_quoted(prefix)} || path as path" if prefix else "path"]
         columns += [f'"{name}"' for name in COLUMNS.names if name != "path"]
         columns += [name if name in names else f"null::varchar as {name}" for name in EXTRA]
-        sound = "where error is null" if "error" in names else ""
-        selects.append(f"select {', '.join(columns)} from source{number} {sound}")
+        sound = "where error is null and gone is null" if "error" in names else ""
+        selects.append(f"select {', '.join(columns)} from {text} {sound}")
     whole = " union all ".join(selects)
     condition = f"where {where}" if where else ""
     text = f"select * from ({whole}) {condition}"
@@ -111,6 +116,11 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
     connection.execute(
         f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
     )
+
+
+def _quoted(text: str) -> str:
+    """A text as SQL."""
+    return "'" + text.replace("'", "''") + "'"
 
 
 def _said(error: Exception) -> str:

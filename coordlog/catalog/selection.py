@@ -11,7 +11,8 @@ import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cached_property
+from itertools import accumulate, repeat
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,11 @@ class Split:
         """The part that everything with this value in the column `by` belongs to."""
         digest = hashlib.sha256(f"{self.seed}/{self.by}/{value!r}".encode()).digest()
         at = int.from_bytes(digest[:8], "big") / _SPAN
-        ends = list(accumulate(self.shares))[:-1]
-        return self.parts[bisect_right(ends, at)]
+        return self.parts[bisect_right(self._ends, at)]
+
+    @cached_property
+    def _ends(self) -> list[float]:
+        return list(accumulate(self.shares))[:-1]
 
 
 def select(
@@ -105,18 +109,21 @@ def select(
         ConfigError: if a condition or a column is none.
     """
     table = ask(_statement(unique, split), gathered.sources, where=where)
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    folders: dict[str, str] = {}
     without = {each.digest for manifest in minus for each in manifest.chosen}
-    rows = [row for row in table.to_pylist() if row["digest"] not in without]
+    parts = (
+        map(split.part, columns[split.by]) if split else (each or "" for each in columns["part"])
+    )
+    labels = columns["label"] if label is None else repeat(label)
+    fields = (columns[name] for name in ("digest", "size", "mtime", "path"))
     chosen: dict[str, Chosen] = {}
-    for row in rows:
-        part = split.part(row[split.by]) if split else row["part"] or ""
-        name = row["label"] or "" if label is None else label
-        path = _from(row["path"], out.parent)
-        chosen.setdefault(
-            row["digest"], Chosen(row["digest"], part, name, row["size"], row["mtime"], path)
-        )
+    for digest, size, mtime, path, part, name in zip(*fields, parts, labels, strict=False):
+        if digest not in without and digest not in chosen:
+            where_it_is = _from(path, out.parent, folders)
+            chosen[digest] = Chosen(digest, part, name or "", size, mtime, where_it_is)
     about: dict[str, Any] = {
-        "sources": sorted({_from(folder, out.parent) for folder in gathered.folders}),
+        "sources": sorted({_from(folder, out.parent, {}) for folder in gathered.folders}),
         "where": where,
         "unique": unique,
         "minus": [manifest.hash for manifest in minus],
@@ -144,8 +151,14 @@ def _statement(unique: str, split: Split | None) -> str:
     )
 
 
-def _from(path: str, folder: Path) -> str:
-    return path if is_url(path) or os.path.isabs(path) else os.path.relpath(path, folder)
+def _from(path: str, folder: Path, known: dict[str, str]) -> str:
+    """A path from a folder on; `known` remembers folders that were asked for before."""
+    if is_url(path) or os.path.isabs(path):
+        return path
+    head, tail = os.path.split(path)
+    if head not in known:
+        known[head] = os.path.relpath(head or ".", folder)
+    return tail if known[head] == "." else f"{known[head]}/{tail}"
 
 
 @dataclass(frozen=True)

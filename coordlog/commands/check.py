@@ -10,10 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL, FormatError, TruncatedError, unknown
+from coordlog.errors import (
+    EXIT_CHECK_FAILED,
+    EXIT_PARTIAL,
+    CoordlogError,
+    FormatError,
+    StorageError,
+    TruncatedError,
+    unknown,
+)
 from coordlog.parallel import batches, mapped
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from coordlog.episode import Array, Json
     from coordlog.verify.finding import Finding
 
@@ -56,14 +66,18 @@ def check(
 
         coordlog check logs/ --level content --json
     """
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import find_files, nothing_found
 
     if level not in LEVELS:
         raise unknown("level", level, LEVELS)
     files = find_files(path)
     paths, skipped, findings = _recognised(
-        list(files.paths), alone={item for item in path if item.is_file()}
+        list(files.paths), alone=path[0] if len(path) == 1 else None
     )
+    left_out = {item.path: f"{item.path}: {item.reason}" for item in files.skipped} | skipped
+    if not paths and not findings:  # a proof that looked at nothing is none
+        _name(left_out.values(), files.parts)
+        raise nothing_found(path, files._replace(skipped=()))
     inexact: dict[str, str] = {}
     began, steps = time.perf_counter(), 0
     with terminal.progress() as bar:
@@ -81,7 +95,7 @@ def check(
         "files": len(paths),
         "findings": [item._asdict() for item in findings],
         "inexact": inexact,
-        "skipped": {str(name): reason for name, reason in skipped.items()},
+        "skipped": {str(name): reason for name, reason in left_out.items()},
         "unfinished": [str(name) for name in files.parts],
         "steps": steps,
         "seconds": seconds,
@@ -92,7 +106,7 @@ def check(
         _show(report, findings)
     if findings:
         raise typer.Exit(EXIT_CHECK_FAILED)
-    if skipped or files.parts:
+    if left_out or files.parts:
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -100,18 +114,23 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
     """Check some files at a level; runs in a process of its own."""
     from coordlog.verify.file import check as check_one
 
-    findings = [
-        item
-        for path in paths
-        for item in check_one(
-            path, level="file" if level == "file" else "content", rewards=logged_rewards
-        )
-    ]
+    findings: list[Finding] = []
+    for path in paths:
+        try:
+            findings += check_one(
+                path, level="file" if level == "file" else "content", rewards=logged_rewards
+            )
+        except StorageError as error:  # it could be read a moment ago
+            findings.append(_unusable(path, error))
     if level != "replay":
         return Checked(findings, {}, len(paths), 0)
     from coordlog.verify.physics import check_replay
+    from coordlog.verify.trial import runnable
 
     damaged = {item.path for item in findings if item.level == "file"}
+    tried = runnable([path for path in paths if str(path) not in damaged])
+    findings += tried
+    damaged |= {item.path for item in tried}
     replays = check_replay([path for path in paths if str(path) not in damaged])
     return Checked(findings + replays.findings, replays.inexact, len(paths), replays.steps)
 
@@ -137,15 +156,14 @@ def logged_rewards(
 
 
 def _recognised(
-    paths: list[Path], *, alone: set[Path]
+    paths: list[Path], *, alone: Path | None
 ) -> tuple[list[Path], dict[Path, str], list[Finding]]:
     """Files that look like episodes, files that do not, and findings for episodes that are cut off.
 
     Raises:
-        FormatError: if a file that was named itself is no episode.
+        FormatError: if the only file that was named is no episode.
     """
     from coordlog.record.reader import probe
-    from coordlog.verify.finding import Finding
 
     known: list[Path] = []
     skipped: dict[Path, str] = {}
@@ -155,23 +173,32 @@ def _recognised(
             probe(path)
             known.append(path)
         except TruncatedError as error:
-            findings.append(
-                Finding(str(path), "file", None, "file", "a finished episode", str(error))
-            )
-        except FormatError as error:
-            if path in alone:
+            findings.append(_unusable(path, error))
+        except (FormatError, StorageError) as error:
+            if path == alone:
                 raise
             skipped[path] = str(error)
     return known, skipped, findings
 
 
+def _unusable(path: Path, error: CoordlogError) -> Finding:
+    from coordlog.verify.finding import Finding
+
+    return Finding(str(path), "file", None, "file", "a finished episode", str(error))
+
+
+def _name(skipped: Iterable[str], parts: Iterable[object]) -> None:
+    """Name what was left out."""
+    for reason in skipped:
+        terminal.note(f"skipped: {reason}")
+    for name in parts:
+        terminal.note(f"unfinished: {name}; `coordlog recover` makes an episode of it")
+
+
 def _show(report: dict[str, Any], findings: list[Finding]) -> None:
     for item in findings:
-        terminal.out.print(str(item), style="red", highlight=False, markup=False, soft_wrap=True)
-    for reason in report["skipped"].values():
-        terminal.note(f"skipped: {reason}")
-    for name in report["unfinished"]:
-        terminal.note(f"unfinished: {name}; `coordlog recover` makes an episode of it")
+        terminal.say(item, style="red")
+    _name(report["skipped"].values(), report["unfinished"])
     for reason in sorted(set(report["inexact"].values())):
         terminal.note(f"bits not compared, only values within tolerances: {reason}")
     files, steps = report["files"], report["steps"]
@@ -180,11 +207,8 @@ def _show(report: dict[str, Any], findings: list[Finding]) -> None:
         if report["level"] == "replay"
         else f"checked at level {report['level']}"
     )
-    verdict = (
-        "[bold green]all sound[/bold green]"
-        if not findings
-        else f"[bold red]{len(findings)} findings[/bold red]"
-    )
-    terminal.out.print(
-        f"{files} episodes, {did} in {report['seconds']:.1f} s: {verdict}", highlight=False
+    verdict = f"{len(findings)} findings" if findings else "all sound"
+    terminal.say(
+        f"{files} episodes, {did} in {report['seconds']:.1f} s: {verdict}",
+        style="bold red" if findings else "bold green",
     )

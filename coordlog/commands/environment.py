@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from coordlog.tasks.scene import Scene
 
 TABLES = ("env", "reward", "task")
+MOST = 1 << 20
+"""Largest configuration file that is read [bytes]."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -28,11 +30,22 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: if the file cannot be read or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            data = stream.read(MOST + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    if len(data) > MOST:
+        raise ConfigError(f"{path}: expected a configuration of at most {MOST:,} bytes, got more")
+    try:
+        tables = tomllib.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise ConfigError(f"{path}: expected TOML, got one that is too deep") from None
+    except ValueError as error:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise ConfigError(f"{path}: '{name}': expected a table [{name}], got {str(table)[:40]}")
+    return tables
 
 
 def scene_of(name: str) -> Scene:

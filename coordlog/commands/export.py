@@ -12,6 +12,9 @@ from coordlog.commands import terminal
 from coordlog.errors import EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coordlog.exchange.blocks import Done
     from coordlog.exchange.source import Entry
 
 
@@ -37,6 +40,13 @@ def export(
     ] = None,
     size: Annotated[str, typer.Option(help="Of the images.", metavar="WxH")] = "224x224",
     storage: Annotated[str, typer.Option(help="Of a rosbag2: mcap or sqlite3.")] = "mcap",
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            help="LeRobot set the episodes came from: copy it, move only its joints.",
+            metavar="SOURCE",
+        ),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
@@ -68,14 +78,14 @@ def export(
     chosen = _matching(found, where) if where else found
     with terminal.progress() as bar:
         task = bar.add_task(f"exporting to {to}", total=len(chosen), note="")
-        done = write(
-            chosen,
-            out,
-            options,
-            jobs=jobs,
-            force=force,
-            advance=lambda episodes: bar.update(task, advance=episodes),
-        )
+
+        def advance(episodes: int) -> None:
+            bar.update(task, advance=episodes)
+
+        if like is None:
+            done = write(chosen, out, options, jobs=jobs, force=force, advance=advance)
+        else:
+            done = _like(chosen, like, out, to, force=force, advance=advance)
     if as_json:
         terminal.print_json({**done._asdict(), "out": str(out), "to": to, "skipped": skipped})
     else:
@@ -91,6 +101,25 @@ def export(
         terminal.note(f"skipped: {reason}")
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)
+
+
+def _like(
+    chosen: list[Entry],
+    source: Path,
+    out: Path,
+    to: str,
+    *,
+    force: bool,
+    advance: Callable[[int], None],
+) -> Done:
+    from coordlog.exchange.lerobot_like import export_like
+    from coordlog.exchange.lerobot_source import read_info
+
+    version = read_info(source)["codebase_version"]
+    wanted = "lerobot" if version == "v3.0" else "lerobot2.1"
+    if to != wanted:
+        raise ConfigError(f"--like {source}: a set of {version}: expected --to {wanted}, got {to}")
+    return export_like(chosen, source, out, force=force, advance=advance)
 
 
 def _size(text: str) -> tuple[int, int]:

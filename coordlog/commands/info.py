@@ -36,11 +36,15 @@ def info(
 
         coordlog info logs/table-train-s0-000003-1f2e3d4c.mcap --json
     """
+    from coordlog.record.files import Files, nothing_found
     from coordlog.record.info import summarise
 
     summary = summarise(path)
-    if summary.skipped and not summary.rows and all(item.is_file() for item in path):
-        raise FormatError(f"{summary.skipped[0].path}: {summary.skipped[0].reason}")
+    if not summary.rows:
+        if len(path) == 1 and [item.path for item in summary.skipped] == path:
+            raise FormatError(f"{path[0]}: {summary.skipped[0].reason}")
+        _name(summary)
+        raise nothing_found(path, Files((), summary.parts, (), summary.others))
     if as_json:
         terminal.print_json(summary.to_json())
     else:
@@ -73,15 +77,19 @@ def _show(summary: Summary, *, every: bool) -> None:
         scenes = ", ".join(f"{count} {name}" for name, count in totals.scenes.items())
         size = terminal.megabytes(totals.size)
         line = f"{totals.episodes} episodes ({scenes}), {totals.steps:,} steps, {totals.duration:,.0f} s simulated, {size}; {share}"
-        terminal.out.print(line, highlight=False)
+        terminal.say(line)
     for row in shown:
         if row.parents:
-            terminal.out.print(
-                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}",
-                highlight=False,
+            terminal.say(
+                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}"
             )
+    _name(summary)
     if len(shown) == 1:
         _show_contacts(shown[0])
+
+
+def _name(summary: Summary) -> None:
+    """Name what was left out."""
     for item in summary.skipped:
         terminal.note(f"skipped: {item.path}: {item.reason}")
     for part in summary.parts:

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from coordlog.commands import terminal
 from coordlog.errors import ConfigError, FormatError, SpecError
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
     from coordlog.record.cache import Built, Logs
+
+
+CLOSED: dict[str, str | bool | int | float | list[str]] = {
+    "enable_external_access": "false",
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+    "memory_limit": "1GB",
+    "lock_configuration": "true",
+}
+"""How a database is opened that is asked what somebody typed: it reaches no file."""
 
 
 def cache_folder() -> Path:
@@ -20,7 +34,9 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coordlog" / "columns"
 
 
-def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) -> Logs:
+def load_logs(
+    paths: list[Path], *, where: str, skip_broken: bool, jobs: int, verify: bool = False
+) -> Logs:
     """The episodes under some folders that satisfy a condition, as columns; all of one scene and
     one state layout.
 
@@ -30,18 +46,11 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
         SpecError: if there is nothing to learn from, or the episodes are of several scenes.
     """
     from coordlog.record.cache import load
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import find_files, nothing_found
 
     files = find_files(paths)
     if not files.paths:
-        unfinished = (
-            f"; {len(files.parts)} unfinished ones are there: `coordlog recover` makes episodes of them"
-            if files.parts
-            else ""
-        )
-        raise SpecError(
-            f"no logs: expected episodes (.mcap) under {', '.join(map(str, paths))}, found none{unfinished}"
-        )
+        raise nothing_found(paths, files, wanted="no logs: ")
     with terminal.progress() as bar:
 
         def run(
@@ -52,7 +61,10 @@ def load_logs(paths: list[Path], *, where: str, skip_broken: bool, jobs: int) ->
                 bar.update(task, advance=built.files)
                 yield built
 
-        logs = load(files.paths, cache_folder(), run=run)
+        logs = load(files.paths, cache_folder(), run=run, verify=verify)
+    logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
+    for text in logs.notes:
+        terminal.note(text)
     for item in logs.skipped:
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
@@ -78,18 +90,79 @@ def matching(logs: Logs, where: str) -> list[int]:
     import duckdb
 
     columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
-    connection = duckdb.connect(config={"enable_external_access": "false"})
-    connection.register(
-        "episodes", logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
-    )
-    try:
-        rows = connection.execute(f"select row from episodes where {where} order by row").fetchall()
-    except duckdb.Error as error:
-        names = ", ".join(columns)
-        raise ConfigError(
-            f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-        ) from error
+    episodes = logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
+    with duckdb.connect(config=CLOSED) as connection:
+        connection.register("episodes", episodes)
+        try:
+            _require_condition(connection, where)
+            rows = connection.execute(
+                f"select row from episodes where ({where}\n) order by row"
+            ).fetchall()
+        except (duckdb.Error, ValueError) as error:
+            names = ", ".join(columns)
+            raise ConfigError(
+                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
+            ) from error
     return [row for (row,) in rows]
+
+
+def _require_condition(connection: DuckDBPyConnection, where: str) -> None:
+    """Hold a text to one expression that looks at one episode at a time.
+
+    It is judged by the tree that the database's own parser makes of it, so there is nothing that
+    the two could read differently.
+
+    Raises:
+        ValueError: saying what it is instead.
+    """
+    statements = connection.extract_statements(f"select row from episodes where ({where}\n)")
+    if len(statements) != 1:
+        raise ValueError(f"one condition, got {len(statements)} statements")
+    wanted = _tree(connection, "select row from episodes where (true)")
+    node = _tree(connection, f"select row from episodes where ({where}\n)")
+    _tree(connection, f"select [{where}\n]")  # what closes our bracket closes but one of the two
+    condition = node.pop("where_clause", None)
+    wanted.pop("where_clause")
+    if _without_places(node) != _without_places(wanted) or condition is None:
+        raise ValueError("one condition, got more than a condition")
+    for part in _parts(condition):
+        if part.get("class") == "SUBQUERY":
+            raise ValueError("a condition on single episodes, got a query within it")
+        if part.get("class") == "WINDOW":
+            raise ValueError("a condition on single episodes, got a window over several")
+
+
+def _tree(connection: DuckDBPyConnection, query: str) -> dict[str, Any]:
+    """A query as the database's parser sees it.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    row = connection.execute("select json_serialize_sql(?::varchar)", [query]).fetchone()
+    parsed: Any = json.loads(row[0]) if row else {"error": True}
+    if parsed.get("error"):
+        raise ValueError(str(parsed.get("error_message", "it cannot be parsed")))
+    (statement,) = parsed["statements"]
+    return dict(statement["node"])
+
+
+def _parts(tree: object) -> Iterator[dict[str, Any]]:
+    """All nodes of a parsed expression."""
+    if isinstance(tree, dict):
+        yield tree
+        tree = list(tree.values())
+    if isinstance(tree, list):
+        for each in tree:
+            yield from _parts(each)
+
+
+def _without_places(tree: object) -> object:
+    """A parsed statement without where its parts stood in the text."""
+    if isinstance(tree, dict):
+        return {
+            key: _without_places(value) for key, value in tree.items() if key != "query_location"
+        }
+    return [_without_places(each) for each in tree] if isinstance(tree, list) else tree
 
 
 def _require_alike(logs: Logs) -> None:

@@ -56,15 +56,20 @@ def plot(
         raise ConfigError(
             f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart"
         )
-    if folders:
-        target = out or Path("curves.png")
-        _curves(folders, target, against=against, force=force)
-    elif against:
+    from coordlog.view.joints import figure_path, refuse_figure
+
+    target = figure_path(out or Path("curves.png" if folders else "joints.png"))
+    refuse_figure(target, force=force)
+    if against and not folders:
         raise ConfigError(f"--against: expected run folders, got the episode {path[0]}")
-    else:
-        target = out or Path("joints.png")
-        _joints(path, target, force=force)
-    terminal.out.print(str(target), highlight=False, markup=False, soft_wrap=True)
+    import matplotlib as mpl
+
+    with mpl.rc_context({"text.parse_math": False}):  # names out of files are no formulas
+        if folders:
+            _curves(folders, target, against=against, force=force)
+        else:
+            _joints(path, target, force=force)
+    terminal.say(str(target))
 
 
 def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> None:
@@ -86,10 +91,9 @@ def _joints(paths: list[Path], out: Path, *, force: bool) -> None:
 
     first, *behind = [read_episode(item) for item in paths]
     for item, other in zip(paths[1:], behind, strict=True):
-        if (
-            other.header.layout != first.header.layout
-            or other.header.env["action_joints"] != first.header.env["action_joints"]
-        ):
+        if other.header.layout != first.header.layout or other.header.env.get(
+            "action_joints"
+        ) != first.header.env.get("action_joints"):
             raise SpecError(
                 f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot them apart"
             )

@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coordlog.errors import ConfigError, SpecError, unknown
+from coordlog.errors import ConfigError, FormatError, SpecError, unknown
 
 if TYPE_CHECKING:
     from coordlog.contracts import Policy
     from coordlog.episode import Json
+    from coordlog.policies.learned import Origin
+    from coordlog.policies.learned import Policy as Trained
     from coordlog.sim.env import BatchEnv
 
 SUFFIX = ".safetensors"
@@ -113,9 +115,18 @@ def about(file: Path) -> Json:
     Raises:
         FormatError: if it is no policy file.
     """
-    from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.learned import Policy as Network
 
-    return Trained.load(file).about
+    trained = Network.load(file)
+    scene, env = _origin(file, trained)
+    return trained.about | {"scene": scene, "env": env}
+
+
+def _origin(file: Path, trained: Trained) -> Origin:
+    try:
+        return trained.origin()
+    except FormatError as error:
+        raise FormatError(f"{file}: {error}") from None
 
 
 def wants_shield(name: str, scene: str) -> bool:
@@ -152,19 +163,24 @@ def make_policy(
 
 
 def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
-    from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.learned import Policy as Network
     from coordlog.policies.scripted import scripted
     from coordlog.record.cache import file_digest
 
     file = policy_file(name, env.scene.name)
     if file is None:
         return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
-    trained = Trained.load(file)
-    here = env.describe()
+    trained = Network.load(file)
+    here, (scene, there) = env.describe(), _origin(file, trained)
     for key in ("state", "action_joints"):
-        if trained.about["env"][key] != here[key]:
+        if there[key] != here[key]:
             raise SpecError(
-                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{trained.about['scene']}'"
+                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{scene}'"
             )
+    if (trained.n_x, trained.n_u) != (len(here["state"]), len(here["action_joints"])):
+        raise SpecError(
+            f"{file}: expected a network of {len(here['state'])} states and"
+            f" {len(here['action_joints'])} actions, got {trained.n_x} and {trained.n_u}"
+        )
     said = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
     return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": file_digest(file)}

@@ -101,7 +101,7 @@ def _render(scenes: Sequence[Scene], folder: Path) -> None:
                 f"{path}: the file exists and is not overwritten; choose another folder"
             )
         write_png(path, picture(scene))
-        terminal.out.print(str(path), highlight=False)
+        terminal.say(str(path))
 
 
 def _point(values: tuple[float, ...]) -> str:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.errors import FormatError
+from coordlog.errors import CoordlogError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from coordlog.episode import Header
 
 MOST = 20_000
-"""Files that are looked at before giving up."""
+"""Files and folders that are looked at before giving up."""
+MOST_SIZED = 2_000
+"""Files whose header is read before giving up."""
 
 
 def sibling(path: Path) -> tuple[Path, Path] | None:
@@ -28,11 +35,9 @@ def sibling(path: Path) -> tuple[Path, Path] | None:
         return None
     parents = own.lineage["parents"]
     digest = None if parents else file_digest(path)
-    for count, candidate in enumerate(sorted(path.resolve().parent.parent.rglob("*.mcap"))):
-        if count == MOST:
-            return None
+    for candidate in _near(path.resolve()):
         other = _header(candidate)
-        if other is None or _drawn(other) != _drawn(own) or candidate == path.resolve():
+        if other is None or _drawn(other) != _drawn(own):
             continue
         if parents and file_digest(candidate) in parents:
             return candidate, path
@@ -41,12 +46,39 @@ def sibling(path: Path) -> tuple[Path, Path] | None:
     return None
 
 
+def _near(own: Path) -> Iterator[Path]:
+    """Episode files in the folder above a file's own, its namesakes first.
+
+    A smoothed file has the name of its raw one in a folder laid out alike; beyond those the search
+    goes level by level and ends after so many entries: the folder above may be a whole disk.
+    """
+    waiting, entries = deque([own.parent.parent]), 0
+    others: list[Path] = []
+    while waiting and entries < MOST:
+        try:
+            with os.scandir(waiting.popleft()) as listing:
+                for entry in islice(listing, MOST - entries):
+                    entries += 1
+                    path = Path(entry.path)
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(path)
+                    elif not entry.name.endswith(".mcap") or path == own or not entry.is_file():
+                        continue
+                    elif entry.name == own.name:
+                        yield path
+                    elif len(others) < MOST_SIZED:
+                        others.append(path)
+        except OSError:  # of no concern to who looks at another file
+            continue
+    yield from sorted(others)
+
+
 def _header(path: Path) -> Header | None:
     from coordlog.record.reader import read_header
 
     try:
         return read_header(path)
-    except FormatError:
+    except CoordlogError:
         return None
 
 

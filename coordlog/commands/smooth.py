@@ -18,6 +18,7 @@ from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
+    from coordlog.record.files import Files, Skipped
 
 STATUSES = ("smoothed", "partly", "kept_raw", "raw_infeasible", SKIPPED)
 SAID = 20
@@ -93,7 +94,8 @@ def smooth(
         raise StorageError(
             f"{report}: the file exists and is not overwritten; choose another name, or pass --force"
         )
-    work, parts = _plan(path, out, settings, write=not dry_run, force=force)
+    work, files = _plan(path, out, settings, write=not dry_run, force=force)
+    parts, left_out = files.parts, [f"{item.path}: {item.reason}" for item in files.skipped]
     rows: list[Json] = []
     began = time.perf_counter()
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
@@ -110,6 +112,7 @@ def smooth(
                 break
     summary = _summary(rows, settings, wanted=len(work), seconds=time.perf_counter() - began)
     summary["unfinished"] = [str(part) for part in parts]
+    summary["skipped"] = left_out
     if report is not None:
         _write_report(report, summary)
     if as_json:
@@ -121,28 +124,35 @@ def smooth(
             f"interrupted after {len(rows)} of {len(work)} episodes; the same command goes on where it stopped"
         )
         raise typer.Exit(EXIT_INTERRUPTED)
-    if parts or any(
-        row["status"] == SKIPPED or row["parameters"]["steps_of"] == "log" for row in rows
+    if (
+        parts
+        or left_out
+        or any(row["status"] == SKIPPED or row["parameters"]["steps_of"] == "log" for row in rows)
     ):
         raise typer.Exit(EXIT_PARTIAL)
 
 
 def _plan(
     paths: Sequence[Path], out: Path, settings: Json, *, write: bool, force: bool
-) -> tuple[list[Job], tuple[Path, ...]]:
-    """One job for every file, and the part files that are no episodes yet.
+) -> tuple[list[Job], Files]:
+    """One job for every file, and what else was found.
 
     Raises:
         ConfigError: if an output could come to lie among the inputs, or two inputs would give one
             output.
         StorageError: if a path does not exist.
+        SpecError: if there is no episode.
+        FormatError: if the only file is none.
     """
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import Files, find_files, nothing_found
+    from coordlog.record.reader import probe
 
     whole = out.resolve()
     folders = sum(path.is_dir() for path in paths)
     work: dict[Path, Job] = {}
-    parts: tuple[Path, ...] = ()
+    parts: list[Path] = []
+    skipped: list[Skipped] = []
+    others: list[tuple[str, int]] = []
     for path in paths:
         here = path.resolve()
         if here.is_dir() and (whole.is_relative_to(here) or here.is_relative_to(whole)):
@@ -155,6 +165,8 @@ def _plan(
             )
         found = find_files(path)
         parts += found.parts
+        skipped += found.skipped
+        others += found.others
         for source in found.paths:
             below = source.relative_to(path) if path.is_dir() else Path(source.name)
             target = out / (Path(here.name) / below if folders > 1 and path.is_dir() else below)
@@ -163,7 +175,12 @@ def _plan(
                     f"{source} and {work[target].source} would both become {target}; smooth them into separate folders"
                 )
             work[target] = Job(source, target, settings, write, force)
-    return list(work.values()), parts
+    files = Files((), tuple(parts), tuple(skipped), tuple(others))
+    if not work:
+        raise nothing_found(paths, files)
+    if len(paths) == 1 and paths[0].is_file():
+        probe(paths[0])
+    return list(work.values()), files
 
 
 def _summary(rows: list[Json], settings: Json, *, wanted: int, seconds: float) -> Json:
@@ -258,6 +275,8 @@ def _show(summary: dict[str, Any], *, out: Path | None) -> None:
         )
     if len(named) > SAID:
         terminal.note(f"{len(named) - SAID} more; --report FILE has them all")
+    for reason in summary["skipped"]:
+        terminal.note(f"skipped: {reason}")
     for name in summary["unfinished"]:
         terminal.note(f"unfinished: {name}; `coordlog recover` makes an episode of it")
     where = "nothing written (--dry-run)" if out is None else f"{out}/"

@@ -1,17 +1,22 @@
 """What every command says to a person: tables, progress, notes.
 
-Results go to standard output, everything else to standard error.
+Results go to standard output, everything else to standard error. Nothing that comes from a file or
+a path is markup or an escape sequence here: control characters are shown, never obeyed.
 """
 
 from __future__ import annotations
 
+import codecs
 import json
+import math
+import os
 import signal
 import sys
+import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from rich import box
 from rich.console import Console
@@ -25,22 +30,118 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 PIPED_WIDTH = 180
 """Columns where the output is no terminal: a file or a pager does not wrap."""
 
-out = Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)
-err = Console(stderr=True) if sys.stderr.isatty() else Console(stderr=True, width=PIPED_WIDTH)
+_INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+"""Unicode categories of what a terminal might obey instead of showing."""
+_PLAIN = {"₁": "1", "₂": "2", "µ": "u", "×": "x", "…": "...", "→": "->", "≤": "<=", "≥": ">="}
+_ERRORS = "coordlog.plain"
 
 
-def note(text: str) -> None:
+class _Console(Console):
+    """A console whose reader may go away: what is said then goes nowhere, and the work goes on."""
+
+    def on_broken_pipe(self) -> None:
+        """Say the rest to nobody."""
+        forsake(self.file)
+
+
+def _console(stream: TextIO | None, *, stderr: bool = False) -> Console:
+    width = None if stream is not None and stream.isatty() else PIPED_WIDTH
+    return _Console(stderr=stderr, width=width, markup=False, highlight=False, emoji=False)
+
+
+def forsake(stream: Any) -> None:
+    """Let a stream that nobody reads any more end in nothing."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, stream.fileno())
+    except (OSError, ValueError):  # no descriptor: a stream of a test
+        pass
+    finally:
+        os.close(null)
+
+
+def prepare_streams() -> None:
+    """Make the process's streams take whatever is said: a character that the encoding lacks is
+    written plainly, and a stream that is closed from the start swallows everything.
+    """
+    codecs.register_error(_ERRORS, _plainly)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors=_ERRORS)
+
+
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    """The error handler: characters of ours in ASCII, all others as their escapes."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    plain = "".join(_PLAIN.get(each) or ascii(each)[1:-1] for each in lacking)
+    return plain, error.end
+
+
+out = _console(sys.stdout)
+err = _console(sys.stderr, stderr=True)
+
+
+def shown(text: object) -> str:
+    r"""A text with all that a terminal might obey written as escapes.
+
+    Example:
+        >>> shown("a\x1b[31mb")
+        'a\\x1b[31mb'
+    """
+    return "".join(
+        ascii(each)[1:-1] if unicodedata.category(each) in _INVISIBLE else each
+        for each in str(text)
+    )
+
+
+def say(text: object, *, style: str = "") -> None:
+    """One line of a result."""
+    out.print(Text(shown(text), style=style), soft_wrap=True)
+
+
+def note(text: object) -> None:
     """One line that is not a result."""
-    err.print(text, style="yellow", highlight=False)
+    err.print(Text(shown(text), style="yellow"), soft_wrap=True)
+
+
+def complain(text: object) -> None:
+    """The one sentence that a command ends with."""
+    err.print(Text.assemble(("error: ", "bold red"), shown(text)), soft_wrap=True)
 
 
 def print_json(data: Any) -> None:
-    """A result for a script: one JSON document on standard output."""
-    print(json.dumps(data, indent=2, ensure_ascii=False))  # noqa: T201
+    """A result for a script: one JSON document on standard output.
+
+    Numbers that JSON lacks are null; what the encoding lacks is written as JSON escapes.
+    """
+    text = json.dumps(_finite(data), indent=2, ensure_ascii=False, default=str)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(_finite(data), indent=2, default=str)
+    try:
+        print(text, flush=True)  # noqa: T201
+    except BrokenPipeError:
+        forsake(sys.stdout)
+
+
+def _finite(data: Any) -> Any:
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    if isinstance(data, dict):
+        return {str(key): _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return data
 
 
 def table(
@@ -51,37 +152,44 @@ def table(
     right: Sequence[str] = (),
 ) -> None:
     """A result for a person."""
-    shown = Table(
-        title=title or None,
+    drawn = Table(
+        title=Text(shown(title)) if title else None,
         title_justify="left",
         header_style="bold",
         box=box.SIMPLE_HEAD,
         padding=(0, 1),
     )
     for name in columns:
-        shown.add_column(
-            name, justify="right" if name in right else "left", no_wrap=True, overflow="ellipsis"
+        drawn.add_column(
+            Text(shown(name)),
+            justify="right" if name in right else "left",
+            no_wrap=True,
+            overflow="ellipsis",
         )
     for row in rows:
-        shown.add_row(*(str(cell) for cell in row))
-    out.print(shown)
+        drawn.add_row(*(Text(shown(cell)) for cell in row))
+    out.print(drawn)
 
 
 def facts(pairs: Sequence[tuple[str, object]], *, title: str = "") -> None:
     """A short list of names and values."""
-    shown = Table(
-        title=title or None, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0)
+    drawn = Table(
+        title=Text(shown(title)) if title else None,
+        title_justify="left",
+        show_header=False,
+        box=None,
+        padding=(0, 2, 0, 0),
     )
     for name, value in pairs:
-        shown.add_row(f"[bold]{name}[/bold]", str(value))
-    out.print(shown)
+        drawn.add_row(Text(shown(name), style="bold"), Text(shown(value)))
+    out.print(drawn)
 
 
 def progress() -> Progress:
     """A progress bar on standard error; silent where that is no terminal."""
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TaskProgressColumn(),
@@ -89,7 +197,7 @@ def progress() -> Progress:
     return Progress(
         *columns,
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         console=err,
         disable=not err.is_terminal,
     )

@@ -92,6 +92,10 @@ def train(
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")
     ] = False,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Read every log again, also those that did not change."),
+    ] = False,
     jobs: Annotated[
         int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
     ] = 0,
@@ -140,6 +144,7 @@ def train(
     from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
+    from coordlog.train.run import held
     from coordlog.train.settings import surroundings
     from coordlog.train.task import Hooks
 
@@ -161,7 +166,11 @@ def train(
     )
     preset = preset or _preset(out if resume else None, live=not source)
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
-    logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs) if source else None
+    logs = (
+        load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs, verify=verify)
+        if source
+        else None
+    )
     mode = ("both" if live else "logs") if logs else "live"
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
@@ -195,6 +204,7 @@ def train(
             "rewards are recomputed from logged distances and flags: the logs were recorded with other constants"
         )
     with ExitStack() as stack:
+        stack.enter_context(held(folder))
         interrupted = stack.enter_context(terminal.interruptible())
         window = stack.enter_context(watch(folder.name)) if view else None
         events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
@@ -329,9 +339,8 @@ def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
         if best
         else ""
     )
-    terminal.out.print(
-        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}",
-        highlight=False,
+    terminal.say(
+        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}"
     )
     if outcome.event is not None:
         terminal.note(f"{outcome.event.name}: {outcome.event.advice}")
@@ -340,8 +349,6 @@ def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if best:
-        terminal.out.print(
-            f"coordlog record --policy {folder}{scene} --split test --episodes 200", highlight=False
-        )
+        terminal.say(f"coordlog record --policy {folder}{scene} --split test --episodes 200")
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)

@@ -82,9 +82,8 @@ def view(
         rrd = save or Path(folder) / "episode.rrd"
         _save(stream, rrd)
         if save is not None:
-            terminal.out.print(
-                f"{save}: {terminal.megabytes(save.stat().st_size)}; open it with: rerun {save}",
-                highlight=False,
+            terminal.say(
+                f"{save}: {terminal.megabytes(save.stat().st_size)}; open it with: rerun {save}"
             )
         _present(
             rrd,
@@ -207,16 +206,14 @@ def _present(
 
         for said in take(rrd, screenshot, at=at):
             terminal.note(said)
-        terminal.out.print(str(screenshot), highlight=False)
+        terminal.say(str(screenshot))
     if web:
         from coordlog.view.web import serve
 
         serve(
             rrd,
             port=port,
-            ready=lambda address: terminal.out.print(
-                f"{address}   (Ctrl-C ends it)", highlight=False
-            ),
+            ready=lambda address: terminal.say(f"{address}   (Ctrl-C ends it)"),
         )
     if window:
         from coordlog.view.viewer import open_window

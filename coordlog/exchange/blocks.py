@@ -131,12 +131,9 @@ def export(
     done = Done(len(chosen), sum(entry.result.length for entry in chosen), 0, 0, True)
     if _is_there(out, plan) and not force:
         return done
-    if os.path.lexists(out) and not force:
-        raise StorageError(
-            f"{out}: exists and is not overwritten; choose another folder, or pass --force"
-        )
+    refuse_taken(out, force=force)
     part = out.parent / f".{out.name}.part"
-    with _growing(part, plan):
+    with growing(part, plan):
         blocks = _blocks(chosen, part, options)
         missing = [block for block in blocks if not _journal(block).exists()]
         advance(sum(len(block.paths) for block in blocks if block not in missing))
@@ -144,8 +141,7 @@ def export(
             advance(count)
         journals = [json.loads(_journal(block).read_text("utf-8")) for block in blocks]
         module.assemble(part, journals, options)
-        shutil.rmtree(part / _JOURNALS)
-        _publish(part, out, plan)
+        publish(part, out, plan)
     return done._replace(resumed=len(blocks) - len(missing), blocks=len(blocks), unchanged=False)
 
 
@@ -211,8 +207,20 @@ def _is_there(out: Path, plan: Json) -> bool:
         return False
 
 
+def refuse_taken(out: Path, *, force: bool) -> None:
+    """Never write over what is there, unless told.
+
+    Raises:
+        StorageError: if there is something of this name.
+    """
+    if os.path.lexists(out) and not force:
+        raise StorageError(
+            f"{out}: exists and is not overwritten; choose another folder, or pass --force"
+        )
+
+
 @contextmanager
-def _growing(part: Path, plan: Json) -> Iterator[None]:
+def growing(part: Path, plan: Json) -> Iterator[None]:
     """Hold the growing folder for this process alone; begin anew unless it is of this very plan."""
     with translated(part, "create the folder"):
         part.parent.mkdir(parents=True, exist_ok=True)
@@ -261,9 +269,10 @@ def _write(block: Block, *, name: str) -> int:
     return len(block.paths)
 
 
-def _publish(part: Path, out: Path, plan: Json) -> None:
+def publish(part: Path, out: Path, plan: Json) -> None:
     """Give the finished folder its name; what was there goes when the new one is in place."""
     with translated(out, "publish the set"):
+        shutil.rmtree(part / _JOURNALS)
         (part / MARKER).write_text(json.dumps(plan, indent=1) + "\n", "utf-8")
         os.sync()
         if not os.path.lexists(out):

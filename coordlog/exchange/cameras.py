@@ -15,11 +15,11 @@ from copy import copy
 import mujoco
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML, Array
+from coordlog.episode import INITIAL_STATE, Array
 from coordlog.errors import ConfigError, FormatError, SimulationError, unknown
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.sim.physics import STATE
 from coordlog.sim.replay import Log, exact_here, replay
 
@@ -35,7 +35,7 @@ def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
         ConfigError: if the model has no such camera.
         SimulationError: if there is no way to render here.
     """
-    model = load_model(loaded.attachments.get(MODEL_XML), loaded.attachments.get(MODEL_MJB))
+    model = load_attached(loaded.attachments)
     start = np.frombuffer(loaded.attachments.get(INITIAL_STATE, b""), np.float64)
     require_exact(loaded, model, start)
     views = {camera: view_of(camera, model) for camera in options.cameras}

@@ -7,6 +7,7 @@ cannot be used leaves no episode behind: it is read to its end before the first 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -193,12 +194,30 @@ def _parameters(piece: Understood, plan: Plan, robot: RobotModel | None) -> Json
             "offset": dict(plan.joints.offset),
         },
         "source_joints": list(piece.source_joints),
+        "map": _map(piece, plan, robot),
         "clock": piece.motion.clock,
         "resampled": plan.resample or None,
         "robot": robot.name if robot is not None else None,
         "notes": list(piece.motion.notes),
         "doubts": list(piece.doubts),
     }
+
+
+def _map(piece: Understood, plan: Plan, robot: RobotModel | None) -> Json:
+    """What leads back: by the source's name the model's joint, and position = source · factor +
+    offset.
+    """
+    known = {} if robot is None else joints_of(robot.model)
+    found: Json = {}
+    for name in piece.source_joints:
+        joint = plan.joints.joints.get(name, name)
+        if not joint:
+            continue
+        hinge = known[joint].hinge if joint in known else True
+        turn = math.pi / 180 if plan.reading.degrees and hinge else 1.0
+        scale, offset = plan.joints.scale.get(name, 1.0), plan.joints.offset.get(name, 0.0)
+        found[name] = [joint, scale * turn, offset * turn]
+    return found
 
 
 def _stem(path: Path) -> str:

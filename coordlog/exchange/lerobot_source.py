@@ -53,12 +53,14 @@ def motions(path: Path, *, state: str = "", action: str = "") -> Iterator[Motion
     key = state or STATE
     names = joint_names(path, info, key)
     wanted = action or ACTION
-    acts = wanted in info["features"] and _names(info["features"][wanted]) == _names(
-        info["features"][key]
+    acts = (
+        wanted != key
+        and wanted in info["features"]
+        and _names(info["features"][wanted]) == _names(info["features"][key])
     )
     columns = [key, *([wanted] if acts else [])]
     notes = _videos(info)
-    if wanted in info["features"] and not acts:
+    if wanted != key and wanted in info["features"] and not acts:
         notes += (f"{wanted} is of other joints than {key}, and was not taken",)
     opened: tuple[Path, pa.Table] | None = None
     for rows in episodes(path, info):
@@ -188,7 +190,7 @@ def _motion(
     if (frames != np.arange(len(mine))).any():
         at = int(np.flatnonzero(frames != np.arange(len(mine)))[0])
         raise FormatError(f"{rows.file}: {place}: expected frame {at}, got {frames[at]}")
-    stamps, clock = _stamps(table.column("timestamp").to_numpy()[mine], info["fps"])
+    stamps, clock = stamps_of(table.column("timestamp").to_numpy()[mine], info["fps"])
     values = [_matrix(table.column(name), len(names), rows.file)[mine] for name in columns]
     return Motion(
         path,
@@ -211,7 +213,7 @@ def _motion(
     )
 
 
-def _stamps(given: Array, fps: float) -> tuple[Array, str]:
+def stamps_of(given: Array, fps: float) -> tuple[Array, str]:
     """Frame numbers over fps where the float32 stamps say so, else the stamps themselves [ns]."""
     even = np.arange(len(given)) / fps
     if len(given) and np.abs(given - given[0] - even).max() < TOLERANCE:

@@ -154,6 +154,7 @@ def _header(
             "place": motion.place,
             "sha256": digest,
             "joints": list(parameters.get("source_joints", motion.names)),
+            "map": parameters.get("map", {name: [name, 1.0, 0.0] for name in motion.names}),
             **motion.where,
         },
     }

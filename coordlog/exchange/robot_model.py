@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-import zstandard
 
-from coordlog.episode import MODEL_XML, Array
+from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
-from coordlog.mjcf import compose, load_model
+from coordlog.mjcf import compose, load_attached, model_alone, pack_source
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES, find
 
@@ -44,21 +43,15 @@ def read_model(given: str) -> RobotModel:
     path = Path(given)
     if not path.exists() and given in SCENES:
         scene = find(given)
-        frame = _frame(compose(scene, EnvConfig()))
-        return RobotModel(scene.robot.name, load_model(frame, None), {MODEL_XML: frame})
+        attached = pack_source(compose(scene, EnvConfig()))
+        return RobotModel(scene.robot.name, load_attached(attached), attached)
     if not path.is_file():
         raise ConfigError(
             f"--robot {given}: expected a MJCF or URDF file, or a scene: {', '.join(sorted(SCENES))}"
         )
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
-        frame = _frame(spec.to_xml())
-        model = load_model(frame, None)  # what the log carries, loaded as it will be
-    except (ValueError, FormatError) as error:
-        raise ConfigError(f"--robot {given}: {str(error).splitlines()[0]}") from error
-    return RobotModel(path.stem, model, {MODEL_XML: frame})
-
-
-def _frame(text: str) -> bytes:
-    return zstandard.ZstdCompressor(level=19).compress(text.encode())
+        attached = pack_source(model_alone(path))
+        model = load_attached(attached)  # what the log carries, loaded as it will be
+    except (ConfigError, FormatError) as error:
+        raise ConfigError(f"--robot {given}: {error}") from error
+    return RobotModel(path.stem, model, attached)

@@ -8,7 +8,6 @@ Source: OMG CDR (XCDR1, little endian); sensor_msgs, trajectory_msgs, control_ms
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +19,8 @@ from rosbags.interfaces import Connection
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
+from coordlog.exchange.frames import of_files
+from coordlog.exchange.joint_state import decode
 from coordlog.exchange.motion import NS, Motion
 from coordlog.exchange.rosbag2 import ros2
 
@@ -53,14 +54,14 @@ def motions(path: Path, *, topic: str = "", stamps: str = "") -> Iterator[Motion
     """
     with opened(path) as bag:
         connection = chosen(bag, path, topic)
+        if connection.msgtype == JOINT_STATE:
+            yield _joint_states(_files(bag, path), path, connection.topic, stamps)
+            return
         raw = [(int(time), bytes(data)) for _, time, data in bag.messages([connection])]
         if connection.msgtype == TRAJECTORY:
             yield from _trajectories(bag, connection, path, raw)
             return
-        if connection.msgtype == JOINT_STATE:
-            motion = _joint_states(path, connection.topic, raw, stamps)
-        else:
-            motion = _dynamic(bag, connection, path, raw, stamps)
+        motion = _dynamic(bag, connection, path, raw, stamps)
     yield motion
 
 
@@ -82,14 +83,16 @@ def opened(path: Path) -> Iterator[Any]:
         FormatError: if it is damaged, encrypted, or not a bag.
     """
     try:
-        with AnyReader([path], default_typestore=ros2()) as bag:
-            yield bag
-    except (FormatError, ConfigError):
-        raise
-    except (AnyReaderError, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
+        bag = AnyReader([path], default_typestore=ros2())
+        bag.open()
+    except Exception as error:  # rosbags lets errors of its decompressors and parsers through
         raise FormatError(f"{path}: {_said(error)}") from error
-    except Exception as error:
+    try:
+        yield bag
+    except (AnyReaderError, OSError) as error:
         raise FormatError(f"{path}: {_said(error)}") from error
+    finally:
+        bag.close()
 
 
 def chosen(bag: Any, path: Path, topic: str) -> Connection:
@@ -120,116 +123,39 @@ def chosen(bag: Any, path: Path, topic: str) -> Connection:
     return found
 
 
-def _joint_states(path: Path, topic: str, raw: list[tuple[int, bytes]], clock: str) -> Motion:
-    """All joint states of a topic; groups of messages with equal names are decoded at once."""
-    groups: dict[tuple[bytes, int], list[int]] = {}
-    for i, (_, data) in enumerate(raw):
-        head = _names_end(data, path, i)
-        groups.setdefault((data[12:head], len(data)), []).append(i)
-    names: tuple[str, ...] = ()
-    count = len(raw)
-    position = velocity = np.zeros((0, 0))
-    header = np.zeros(count, np.int64)
-    moving = True
-    for members in groups.values():
-        alike = [raw[i][1] for i in members]
-        own, sec, columns = _decoded(alike, path, members[0])
-        if not names:
-            names = own
-            position, velocity = np.full((2, count, len(names)), np.nan)
-        order = _order(own, names, path, topic, members[0])
-        header[members] = sec
-        position[np.ix_(members, order)] = columns[0]
-        moving = moving and columns[1].shape == columns[0].shape
-        if moving:
-            velocity[np.ix_(members, order)] = columns[1]
-    log = np.array([time for time, _ in raw], np.int64)
-    stamps, said = chosen_clock(header, log, clock)
+def _joint_states(files: list[Path], path: Path, topic: str, clock: str) -> Motion:
+    """All joint states of a topic, decoded together."""
+    frames = of_files(files, topic)
+    found = decode(frames, f"{path}: {topic}")
+    stamps, said = chosen_clock(found.header, frames.times, clock)
+    velocity = found.velocity
     return Motion(
         path,
         "rosbag2",
         topic,
-        names,
+        found.names,
         stamps,
-        position,
-        velocity if moving and np.isfinite(velocity).all() else None,
+        found.position,
+        velocity if velocity is not None and np.isfinite(velocity).all() else None,
         clock=said,
         where={"topic": topic, "type": JOINT_STATE},
     )
 
 
-def _names_end(data: bytes, path: Path, i: int) -> int:
-    """Where the joint names of a serialized JointState end."""
-    try:
-        at = 16 + int.from_bytes(data[12:16], "little")
-        at += -at % 4
-        count = int.from_bytes(data[at : at + 4], "little")
-        at += 4
-        for _ in range(count):
-            size = int.from_bytes(data[at : at + 4], "little")
-            at += 4 + size + (-size % 4)
-            if at > len(data) + 3:
-                raise FormatError(f"{path}: message {i}: a JointState that ends within its names")
-    except struct.error as error:
-        raise FormatError(f"{path}: message {i}: {error}") from error
-    return at
+def _files(bag: Any, path: Path) -> list[Path]:
+    """The storage files of an open bag in order; those that were compressed whole, unpacked.
 
-
-def _decoded(data: list[bytes], path: Path, i: int) -> tuple[tuple[str, ...], Array, list[Array]]:
-    """Names, header stamps [ns] and position, velocity, effort of messages laid out alike."""
-    first = data[0]
-    if first[:2] != b"\x00\x01":
+    Raises:
+        FormatError: if messages are compressed one by one.
+    """
+    if path.is_file():
+        return [path]
+    reader = bag.readers[0]
+    if reader.compression_mode == "message":
         raise FormatError(
-            f"{path}: message {i}: expected little-endian CDR, got encapsulation {first[:2].hex()}"
+            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
         )
-    table = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), -1)
-    stamps = table[:, 4:12].copy().view("<i4").astype(np.int64)
-    ns = stamps[:, 0] * NS + table[:, 8:12].copy().view("<u4")[:, 0]
-    names = _names(first)
-    at = _names_end(first, path, i)
-    columns = []
-    for _ in range(3):
-        at += -at % 4
-        size = int.from_bytes(first[at : at + 4], "little")
-        counts = table[:, at : at + 4].copy().view("<u4")[:, 0]
-        at += 4
-        if size:
-            at += -(at - 4) % 8
-        if (counts != size).any() or at + 8 * size > len(first):
-            raise FormatError(f"{path}: message {i}: a JointState whose lengths do not add up")
-        values = table[:, at : at + 8 * size].copy().view("<f8").reshape(len(data), size)
-        columns.append(values)
-        at += 8 * size
-    if columns[0].shape[1] != len(names):
-        raise FormatError(
-            f"{path}: message {i}: expected a position for each of {len(names)} joints, got {columns[0].shape[1]}"
-        )
-    return names, ns, columns
-
-
-def _names(data: bytes) -> tuple[str, ...]:
-    at = 16 + int.from_bytes(data[12:16], "little")
-    at += -at % 4
-    count, found = int.from_bytes(data[at : at + 4], "little"), []
-    at += 4
-    for _ in range(count):
-        at += -at % 4
-        size = int.from_bytes(data[at : at + 4], "little")
-        found.append(data[at + 4 : at + 3 + size].decode("utf-8", "replace"))
-        at += 4 + size
-    return tuple(found)
-
-
-def _order(
-    own: tuple[str, ...], names: tuple[str, ...], path: Path, topic: str, i: int
-) -> list[int]:
-    """Places of a message's joints among those of the first message."""
-    if sorted(own) != sorted(names):
-        missing = sorted(set(names) ^ set(own))
-        raise FormatError(
-            f"{path}: {topic}: message {i}: expected the joints of the first message, got others: {', '.join(missing)}; several publishers share the topic"
-        )
-    return [names.index(name) for name in own]
+    return [Path(storage.path) for storage in reader.storage.storages]
 
 
 def _dynamic(

@@ -1,8 +1,8 @@
 """CSV and Parquet in: a row per sample, a column (or list) of positions per joint.
 
 Columns are found by name: `time`, `timestamp` or `stamp` is the clock, `episode` or `episode_index`
-cuts; of the others those that are told with --columns, or all of `qpos`, or all floating-point
-ones. Time is in seconds, or in nanoseconds where it is whole and that large.
+cuts; of the others those that are told with --columns, or all of `qpos`, or all that are
+numbers. Time is in seconds, or in nanoseconds where it is whole and that large.
 """
 
 from __future__ import annotations
@@ -166,12 +166,16 @@ def _positions(
         raise FormatError(
             f"{path}: column '{text[0]}': expected numbers, got text such as '{table.column(text[0])[0]}'; choose columns with --columns"
         )
-    found = of_qpos or [name for name in free if pa.types.is_floating(table.column(name).type)]
+    found = of_qpos or [name for name in free if _is_number(table.column(name).type)]
     if not found:
         raise FormatError(
             f"{path}: no column of joint positions; the columns are {', '.join(table.column_names)}"
         )
     return tuple(found)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
 
 def _numbers(path: Path, table: pa.Table, name: str) -> Array:

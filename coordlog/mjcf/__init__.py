@@ -7,6 +7,7 @@ what is simulated is compiled from that print, which is what the log holds.
 from coordlog.mjcf.attached import (
     ASSETS,
     MAX_BYTES,
+    is_plain_model,
     load_attached,
     load_model,
     pack_source,
@@ -16,6 +17,7 @@ from coordlog.mjcf.attached import (
 from coordlog.mjcf.compose import compose, with_radii
 from coordlog.mjcf.printing import Source, compile_model
 from coordlog.mjcf.servos import actuator_label, held_controls, servos_of
+from coordlog.mjcf.source import model_alone
 
 __all__ = [
     "ASSETS",
@@ -25,8 +27,10 @@ __all__ = [
     "compile_model",
     "compose",
     "held_controls",
+    "is_plain_model",
     "load_attached",
     "load_model",
+    "model_alone",
     "pack_source",
     "self_contained",
     "servos_of",

@@ -18,6 +18,7 @@ import zstandard
 from coordlog.episode import MODEL_MJB, MODEL_XML
 from coordlog.errors import ConfigError, FormatError
 from coordlog.mjcf.printing import Source
+from coordlog.modest import is_plain, require_modest
 
 MAX_BYTES = 64 << 20
 """A model's text and its assets may expand to this much together, its MJB too; ours need 30 kB."""
@@ -82,31 +83,28 @@ def load_model(
 ) -> mujoco.MjModel:
     """Compile the model a log carries, from its attachments as they lie in the file.
 
-    The text is preferred: it compiles to the same model, is not bound to one MuJoCo version, and
-    can be judged before it is used. Only files of version 1 have an MJB.
+    The text can be judged before it is used; a compiled model (MJB), which files of version 1 have,
+    cannot, and a damaged one crashes the process: it is never loaded.
 
     Args:
         xml: MJCF text, one zstd frame.
-        mjb: MJB, one zstd frame; used when there is no text.
+        mjb: MJB of files of version 1; only mentioned where there is no text.
         assets: Files that the text names, each one zstd frame under its name and ".zst".
 
     Raises:
-        FormatError: if there is neither, if one is damaged or they are larger than MAX_BYTES, if
-            the text asks for other files, or if MuJoCo refuses it.
+        FormatError: if there is no text, if it or a file is damaged, if they are larger than
+            MAX_BYTES, if the text asks for other files or for too much, or if MuJoCo refuses it.
     """
     silence()
-    if xml is None and mjb is None:
+    if xml is None:
         raise FormatError(
-            "no model attached: expected the scene as MJCF text or MJB in the file; record it again"
+            "no model attached: expected the scene as MJCF text in the file"
+            + ("; it has an MJB, which is not loaded: it cannot be judged" if mjb else "")
         )
     try:
-        if xml is not None:
-            text = _expand(xml, "the attached MJCF text")
-            files = _files(assets or {}, room=MAX_BYTES - len(text))
-            return mujoco.MjModel.from_xml_string(self_contained(text, files), files)
-        return mujoco.MjModel.from_binary_path(
-            "model.mjb", {"model.mjb": _expand(mjb or b"", "the attached MJB")}
-        )
+        text = _expand(xml, "the attached MJCF text")
+        files = _files(assets or {}, room=MAX_BYTES - len(text))
+        return mujoco.MjModel.from_xml_string(self_contained(text, files), files)
     except ValueError as error:
         reason = str(error).splitlines()[0]
         raise FormatError(
@@ -137,6 +135,19 @@ def _files(assets: Mapping[str, bytes], *, room: int) -> dict[str, bytes]:
     return found
 
 
+def is_plain_model(xml: bytes | None) -> bool:
+    """Whether an attached model is small and simple enough to be compiled in this process.
+
+    True of what will be refused anyway.
+    """
+    if xml is None:
+        return True
+    try:
+        return is_plain(_parse(_expand(xml, "the attached MJCF text")))
+    except FormatError:
+        return True
+
+
 def self_contained(text: bytes, files: Mapping[str, bytes] | None = None) -> str:
     """MJCF text that asks for no file but those given, written out again from the tree that was
     judged.
@@ -152,6 +163,7 @@ def self_contained(text: bytes, files: Mapping[str, bytes] | None = None) -> str
         raise FormatError(
             f"the attached model: expected an MJCF document <{_ROOT}>, got <{root.tag}>"
         )
+    require_modest(root)
     for element in root.iter():
         if element.tag in _READS_FILES:
             raise FormatError(

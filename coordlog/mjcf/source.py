@@ -18,7 +18,7 @@ import numpy as np
 
 from coordlog.errors import ConfigError
 from coordlog.mjcf.printing import Source, printed
-from coordlog.robots.robot import Robot
+from coordlog.robots.robot import Arm, Robot
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 FROM_GEOMS = 1
@@ -52,6 +52,15 @@ def whole(robot: Robot) -> Source:
         ConfigError: naming everything that is missing or cannot be read.
     """
     return _whole(_Key(robot))
+
+
+def model_alone(file: Path) -> Source:
+    """A model file that no spec describes, whole.
+
+    Raises:
+        ConfigError: as `whole`.
+    """
+    return whole(Robot(file.stem, file, (Arm("none", "none", ()),), poses={"stand": {}}))
 
 
 class _Key:

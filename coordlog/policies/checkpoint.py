@@ -18,8 +18,14 @@ from safetensors.numpy import save_file
 
 from coordlog.episode import Array, Json
 from coordlog.errors import FormatError, StorageError
+from coordlog.strangers import HEAD, recognise
 
 _T = TypeVar("_T")
+
+MOST = 4 << 30
+"""Largest file of arrays that is read [bytes]; a checkpoint of 10⁶ weights takes 20 MB."""
+TYPES = ("F64", "F32", "I64", "I32", "U64", "U32", "U8", "BOOL")
+"""Types of arrays, as safetensors calls them."""
 
 
 class Saved(NamedTuple):
@@ -56,13 +62,30 @@ def save_arrays(path: Path, arrays: Mapping[str, Array], *, kind: str, meta: Jso
         raise StorageError(f"{path} cannot be written: {error}") from error
 
 
-def load_arrays(path: Path, *, kind: str) -> Saved:
+def load_arrays(path: Path, *, kind: str, most: int = MOST) -> Saved:
     """Read a file of `save_arrays`.
+
+    The file may be anybody's: its header is judged, and its size, before an array is read.
+
+    Args:
+        path: The file.
+        kind: What it must be.
+        most: Largest file that is read [bytes].
 
     Raises:
         StorageError: if there is no such file or it cannot be read.
-        FormatError: if it is damaged, or not of this kind.
+        FormatError: if it is damaged, too large, or not of this kind.
     """
+    try:
+        with path.open("rb") as stream:
+            size, head = os.fstat(stream.fileno()).st_size, stream.read(HEAD)
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror}") from error
+    if size > most:
+        raise FormatError(f"{path}: expected a {kind} of at most {most:,} bytes, got {size:,}")
+    if head[8:9] != b"{":
+        what = recognise(head) or "something else"
+        raise FormatError(f"{path}: expected a {kind} (safetensors), got {what}")
     try:
         with safe_open(path, framework="numpy") as file:
             said = file.metadata() or {}
@@ -71,11 +94,29 @@ def load_arrays(path: Path, *, kind: str) -> Saved:
                     f"{path}: expected a {kind} file, got {said.get('kind', 'a file of another program')}"
                 )
             names = file.keys()  # not a mapping: it cannot be iterated
-            return Saved({name: file.get_tensor(name) for name in names}, json.loads(said["meta"]))
+            for name in names:
+                stored = file.get_slice(name).get_dtype()
+                if stored not in TYPES:
+                    raise FormatError(
+                        f"{path}: '{name}': expected numbers of {', '.join(TYPES)}, got {stored}"
+                    )
+            return Saved({name: file.get_tensor(name) for name in names}, _meta(path, said))
     except OSError as error:
         raise StorageError(f"{path} cannot be read: {error}") from error
     except SafetensorError as error:
         raise FormatError(f"{path} is damaged or not a safetensors file: {error}") from error
+
+
+def _meta(path: Path, said: Mapping[str, str]) -> Json:
+    """What a file says about its arrays."""
+    try:
+        meta = json.loads(said.get("meta", ""))
+    except (ValueError, RecursionError) as error:
+        reason = "too deep" if isinstance(error, RecursionError) else str(error)
+        raise FormatError(f"{path}: expected metadata as JSON: {reason}") from None
+    if not isinstance(meta, dict):
+        raise FormatError(f"{path}: expected metadata as a JSON object, got {str(meta)[:40]}")
+    return meta
 
 
 def under(prefix: str, values: Mapping[str, _T]) -> dict[str, _T]:

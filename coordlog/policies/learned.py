@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,18 @@ from coordlog.policies.checkpoint import load_arrays, save_arrays
 KIND = "coordlog policy"
 BLOCKS = (8, 4)
 NORM_EPSILON = np.float32(1e-5)
+MOST = 256 << 20
+"""Largest policy file that is read [bytes]; those that ship have 0.3 MB."""
+CHOICES = {"activation": ("relu", "crelu"), "norm": ("none", "layer", "batch")}
+"""What a file may say of its hidden layers; a batch normalisation is part of the weights."""
+
+
+class Origin(NamedTuple):
+    """Where a policy was trained."""
+
+    scene: str
+    env: Json
+    """The `coordlog.env` record."""
 
 
 class Policy:
@@ -41,18 +54,8 @@ class Policy:
             FormatError: if layers are missing, do not fit together, or hold values that are not
                 finite.
         """
-        count = len(arrays) // 2
-        try:
-            self._layers = [
-                (arrays[f"weight.{index}"], arrays[f"bias.{index}"]) for index in range(count)
-            ]
-            self._crelu, self._norm = about["activation"] == "crelu", about["norm"] == "layer"
-        except KeyError as error:
-            raise FormatError(f"policy: {error.args[0]} is missing") from error
-        if count == 0 or not all(np.isfinite(array).all() for array in arrays.values()):
-            raise FormatError(
-                "policy: expected layers of finite weights; this one is empty or comes from a run that diverged"
-            )
+        self._layers = _layers(arrays, about)
+        self._crelu, self._norm = about["activation"] == "crelu", about["norm"] == "layer"
         self.arrays, self.about = arrays, about
         self.n_x, self.n_u = self._layers[0][0].shape[0], self._layers[-1][0].shape[1]
         self._block = _safe_block(
@@ -102,7 +105,68 @@ class Policy:
             StorageError: if it cannot be read.
             FormatError: if it is not a policy file.
         """
-        return cls(*load_arrays(path, kind=KIND))
+        try:
+            return cls(*load_arrays(path, kind=KIND, most=MOST))
+        except FormatError as error:
+            text = str(error)
+            raise FormatError(text if str(path) in text else f"{path}: {text}") from None
+
+    def origin(self) -> Origin:
+        """The scene and the environment that the policy was trained in.
+
+        Raises:
+            FormatError: if the file does not say, or says it in another shape.
+        """
+        scene, env = self.about.get("scene"), self.about.get("env")
+        if not isinstance(scene, str) or not isinstance(env, dict):
+            raise FormatError(
+                "policy: expected the scene's name and the env record that it was trained in,"
+                f" got {str(scene)[:40]!r} and {str(env)[:40]!r}"
+            )
+        kinds = {"config": dict, "reward": dict, "state": list, "action_joints": list}
+        for key, kind in kinds.items():
+            if not isinstance(env.get(key), kind):
+                raise FormatError(
+                    f"policy: env '{key}': expected {kind.__name__}, got {str(env.get(key))[:40]!r}"
+                )
+        return Origin(scene, env)
+
+
+def _layers(arrays: dict[str, Array], about: Json) -> list[tuple[Array, Array]]:
+    """Weight and bias of each layer, if they make a network.
+
+    Raises:
+        FormatError: naming the first array that does not.
+    """
+    count, width = len(arrays) // 2, 0
+    names = [name for index in range(count) for name in (f"weight.{index}", f"bias.{index}")]
+    missing = sorted({*names} - {*arrays}) or [key for key in CHOICES if key not in about]
+    if missing or len(arrays) % 2:
+        raise FormatError(f"policy: {(missing or ['a bias'])[0]} is missing")
+    for key, choices in CHOICES.items():
+        if about[key] not in choices:
+            raise FormatError(
+                f"policy: {key}: expected {' or '.join(choices)}, got {str(about[key])[:40]!r}"
+            )
+    for name in names:
+        array, matrix = arrays[name], name.startswith("weight")
+        fits = array.ndim == 2 and array.shape[0] in (width, array.shape[0] * (not width))
+        fits = fits and min(array.shape) > 0 if matrix else array.shape == (width,)
+        if array.dtype != np.float32 or not fits:
+            wanted = f"({width or 'n_x'}, units)" if matrix else f"({width},)"
+            raise FormatError(
+                f"policy: {name}: expected float32 of shape {wanted}, got {array.dtype} of shape"
+                f" {array.shape}"
+            )
+        if matrix:
+            width = array.shape[1]
+        elif about["activation"] == "crelu":
+            width *= 2
+    if count == 0 or not all(np.isfinite(array).all() for array in arrays.values()):
+        raise FormatError(
+            "policy: expected layers of finite weights; this one is empty or comes from a run that diverged"
+        )
+    return [(arrays[f"weight.{index}"], arrays[f"bias.{index}"]) for index in range(count)]
 
 
 def _forward(h: Array, layers: list[tuple[Array, Array]], crelu: bool, norm: bool) -> Array:

@@ -1,40 +1,52 @@
 """Decoded columns kept on disk, so that no file is decoded twice. Deleting the cache only costs
 time.
 
-A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when read) and, written
-last, one row per episode with its final state, its result, what its header says and the sha256 of
-its file. A shard's name is a digest of the episodes in it: two processes that build the same shard
-write the same file, and either may win. There is no index that could be wrong: the rows say what is
-there.
+A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when read) and one row per
+episode with its final state, its result, what its header says and the sha256 of its file; and,
+written last, a file of their sizes and CRCs. What does not agree with its CRC is decoded anew. A
+shard's name is a digest of the episodes in it: two processes that build the same shard write the
+same files, and either may win. DIGESTS remembers the sha256 of files by path, size, mtime and
+inode: of a file that has not changed no byte is read again. A folder that others may write to is
+not used.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import mmap
 import os
+import stat
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from coordlog.episode import Json
-from coordlog.errors import FormatError, SpecError
-from coordlog.record.dataset import Skipped
-from coordlog.record.dataset import open as open_logs
-from coordlog.record.reader import read_summary
+from coordlog.episode import Header, Json
+from coordlog.errors import SpecError
+from coordlog.record.addresses import is_elsewhere, size_and_time
+from coordlog.record.dataset import Decoded, decoded
+from coordlog.record.files import Skipped
 from coordlog.record.storage import translated
 from coordlog.version import __version__
 
 SHARD = 128
 """Episodes in a shard."""
-EDITION = f"{__version__}-1"
+EDITION = f"{__version__}-2"
 """Shards of another edition are not read."""
-STEPS, EPISODES = ".steps.arrow", ".episodes.arrow"
+STEPS, EPISODES, SUMS = ".steps.arrow", ".episodes.arrow", ".sums.json"
+DIGESTS = "digests.json"
+TRIES = 3
+"""A shard that is still damaged when it was made so often is not used."""
+FRESH = 100_000_000
+"""A file changed less than this long ago [ns] may change again within one tick of the clock: its
+digest is not remembered."""
 STEP_COLUMNS = (
     "state",
     "action",
@@ -49,6 +61,7 @@ STEP_COLUMNS = (
 
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
+Stamp = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,8 @@ class Built:
 
     files: int
     skipped: tuple[Skipped, ...]
+    digests: dict[Path, str] = field(default_factory=dict)
+    """sha256 of those that are episodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +85,8 @@ class Logs:
     split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
     `coordlog.env` record as JSON)."""
     skipped: tuple[Skipped, ...]
+    notes: tuple[str, ...] = ()
+    """What is worth knowing about how they were read."""
 
     def __len__(self) -> int:
         """Number of episodes."""
@@ -86,59 +103,72 @@ class Logs:
         starts = np.cumsum(lengths) - lengths
         parts = [self.steps.slice(int(starts[row]), int(lengths[row])) for row in rows]
         steps = pa.concat_tables(parts) if parts else self.steps.slice(0, 0)
-        return Logs(steps, self.episodes.take(pa.array(rows, pa.int64())), self.skipped)
+        episodes = self.episodes.take(pa.array(rows, pa.int64()))
+        return replace(self, steps=steps, episodes=episodes)
 
 
-def load(paths: Sequence[Path], folder: Path, *, run: Run) -> Logs:
+def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False) -> Logs:
     """Columns of episode files, decoding only those that the cache does not know yet.
 
     Args:
         paths: Finished episode files.
         folder: The cache; made if missing.
         run: Maps over groups of files that are to be decoded; see Run.
+        verify: Read every file again to see whether it is still the one that was decoded.
 
     Raises:
         SpecError: if no episode is left.
         StorageError: if the cache cannot be written.
     """
-    with translated(folder, "make the cache folder"):
-        folder.mkdir(parents=True, exist_ok=True)
-    digests = {path: file_digest(path) for path in paths}
-    known = _known(folder)
-    missing = list(
-        {digest: path for path, digest in digests.items() if digest not in known}.values()
-    )  # of copies, one
-    groups, skipped = _alike(missing)
-    for built in run(partial(build, folder=folder), groups):
-        skipped += built.skipped
-    known = _known(folder) if missing else known
-    places = [known[digest] for digest in digests.values() if digest in known]
-    if not places:
-        why = f"; {skipped[0].path}: {skipped[0].reason}" if skipped else ""
-        raise SpecError(
-            f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
-        )
-    return _gathered(folder, places, tuple(skipped))
+    skipped: dict[Path, Skipped] = {}
+    with _trusted(folder) as (place, notes):
+        stamps = {path: _stamp(path) for path in paths}
+        digests = {} if verify else _remembered(place, stamps)
+        known, tried = _known(place), set[Path]()
+        for _ in range(TRIES):
+            missing = [path for path in paths if digests.get(path) not in known]
+            missing = [path for path in missing if path not in tried]
+            groups = [missing[i : i + SHARD] for i in range(0, len(missing), SHARD)]
+            for built in run(partial(build, folder=place), groups):
+                skipped |= {item.path: item for item in built.skipped}
+                digests |= built.digests
+            tried |= {*missing}
+            known = _known(place) if missing else known
+            used = {known[digest][0] for digest in digests.values() if digest in known}
+            broken = [shard for shard in sorted(used) if not _sound(place, shard)]
+            if not broken:
+                break
+            notes = (*notes, f"{place}: {len(broken)} damaged parts of the cache are made anew")
+            _remove(place, broken)
+            known = {key: at for key, at in known.items() if at[0] not in broken}
+            tried = {*skipped}
+        _remember(place, stamps, digests)
+        here = [path for path in paths if digests.get(path) in known]
+        if not here:
+            first = next(iter(skipped.values()), None)
+            why = f"; {first.path}: {first.reason}" if first else ""
+            raise SpecError(
+                f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
+            )
+        logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
+    names = pa.array([str(path) for path in here])
+    return replace(logs, episodes=logs.episodes.append_column("file", names), notes=notes)
 
 
 def build(paths: Sequence[Path], *, folder: Path) -> Built:
-    """Decode some files into a shard; broken files are left out and named.
-
-    Raises:
-        StorageError: if the cache cannot be written.
-    """
-    dataset = open_logs(paths, skip_broken=True)
-    try:
-        steps, finals = dataset.to_table(), dataset.finals()
-    except SpecError:  # not one of them can be read
-        return Built(len(paths), tuple(dataset.skipped))
-    episodes = _described(finals, steps)
-    name = hashlib.sha256(
-        (EDITION + "".join(episodes.column("digest").to_pylist())).encode()
-    ).hexdigest()[:24]
-    _write(folder / f"{name}{STEPS}", steps.select(STEP_COLUMNS))
-    _write(folder / f"{name}{EPISODES}", episodes)
-    return Built(len(paths), tuple(dataset.skipped))
+    """Read and decode some files, each once, into shards; broken files are left out and named."""
+    skipped: list[Skipped] = []
+    digests: dict[Path, str] = {}
+    known = frozenset(_known(folder))
+    for part in decoded(paths, skipped=skipped, digests=digests, known=known):
+        episodes = _described(part)
+        name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
+        sums = {
+            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(STEP_COLUMNS)),
+            EPISODES: _write(folder / f"{name}{EPISODES}", episodes),
+        }
+        _write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
+    return Built(len(paths), tuple(skipped), digests)
 
 
 def file_digest(path: Path) -> str:
@@ -151,84 +181,188 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _alike(paths: Sequence[Path]) -> tuple[list[list[Path]], list[Skipped]]:
-    """Files in groups of one layout and at most SHARD, and those that are no episodes."""
-    groups: dict[str, list[Path]] = {}
-    skipped: list[Skipped] = []
-    for path in paths:
-        try:
-            summary = read_summary(path)
-        except FormatError as error:
-            skipped.append(Skipped(path, str(error).removeprefix(f"{path}: ")))
-            continue
-        if summary.result.length:
-            groups.setdefault(repr((summary.header.layout, summary.header.arms)), []).append(path)
-    return [
-        group[i : i + SHARD] for group in groups.values() for i in range(0, len(group), SHARD)
-    ], skipped
+@contextmanager
+def _trusted(folder: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """The cache folder if nobody else can have written to it, else an empty one for this time."""
+    with translated(folder, "make the cache folder"):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+    if status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        yield folder, ()
+        return
+    why = "belongs to another user" if status.st_uid != os.geteuid() else "others may write to it"
+    with tempfile.TemporaryDirectory(prefix="coordlog-") as apart:  # mapped files outlive it
+        yield Path(apart), (f"{folder}: the cache is not used: {why}; logs are decoded anew",)
 
 
-def _described(finals: pa.Table, steps: pa.Table) -> pa.Table:
-    """Rows of `Logs.episodes`."""
-    starts = np.concatenate([[0], np.cumsum(finals.column("length"))[:-1]]).astype(np.int64)
-    rows = []
-    for name in finals.column("file").to_pylist():
-        header = read_summary(name).header
-        policy = header.policy
-        row = {
-            key: header.episode[key]
-            for key in ("scene", "split", "seed", "index", "robot", "start")
-        }
-        row |= {
-            "policy": policy["name"],
-            "noise": float(policy["noise"].get("sigma", 0.0)),
-            "transform": header.lineage["transform"],
-        }
-        rows.append({**row, "env": json.dumps(header.env), "digest": file_digest(Path(name))})
-    table = finals.select(
-        [
-            "state",
-            "length",
-            "success",
-            "clean",
-            "terminated",
-            "truncated",
-            "aborted",
-            "returns",
-            "file",
-        ]
-    )
+def _stamp(path: Path) -> Stamp | None:
+    """What a file's content is taken to depend on; None if it cannot be told."""
+    if is_elsewhere(path):
+        return size_and_time(path)
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return (status.st_size, status.st_mtime_ns, status.st_ino, status.st_dev)
+
+
+def _remembered(folder: Path, stamps: dict[Path, Stamp | None]) -> dict[Path, str]:
+    """Digests of the files that have not changed since they were read."""
+    entries = _read_json(folder / DIGESTS).get("files", {})
+    found = {}
+    for path, stamp in stamps.items():
+        entry = entries.get(str(path)) if isinstance(entries, dict) else None
+        if isinstance(entry, list) and stamp is not None and entry[:-1] == list(stamp):
+            found[path] = str(entry[-1])
+    return found
+
+
+def _remember(folder: Path, stamps: dict[Path, Stamp | None], digests: dict[Path, str]) -> None:
+    """Keep what is known of files beside what was known before.
+
+    Of a file that changed since its stamp was taken, or just before, nothing is kept.
+    """
+    before = _read_json(folder / DIGESTS).get("files", {})
+    entries = dict(before) if isinstance(before, dict) else {}
+    now = _clock(folder)
+    for path, digest in digests.items():
+        stamp = stamps.get(path)
+        entries.pop(str(path), None)
+        if stamp is not None and stamp == _stamp(path) and stamp[1] < now - FRESH:
+            entries[str(path)] = [*stamp, digest]
+    if entries != before:
+        _write_json(folder / DIGESTS, {"edition": EDITION, "files": entries})
+
+
+def _clock(folder: Path) -> int:
+    """What time a file written now would bear [ns]."""
+    with tempfile.TemporaryFile(dir=folder) as stream:
+        return os.fstat(stream.fileno()).st_mtime_ns
+
+
+def _described(part: Decoded) -> pa.Table:
+    """Rows of `Logs.episodes`, without the file's name: it may change."""
+    starts = np.concatenate([[0], np.cumsum(part.finals.column("length"))[:-1]]).astype(np.int64)
+    columns = ("state", "length", "success", "clean", "terminated", "truncated", "aborted")
+    table = part.finals.select([*columns, "returns"])
     for column, flag in (("collided", "collision"), ("fell", "instability")):
-        values = np.logical_or.reduceat(steps.column(flag).to_numpy(zero_copy_only=False), starts)
-        table = table.append_column(column, pa.array(values))
-    described = pa.Table.from_pylist(rows)
+        values = part.steps.column(flag).to_numpy(zero_copy_only=False)
+        table = table.append_column(column, pa.array(np.logical_or.reduceat(values, starts)))
+    rows = [_said(header) for header in part.headers]
+    described = pa.Table.from_pylist(rows, schema=_SAID)
     for column in described.column_names:
         table = table.append_column(column, described.column(column))
-    return table.combine_chunks()
+    return table.append_column("digest", pa.array(list(part.digests))).combine_chunks()
 
 
-def _write(path: Path, table: pa.Table) -> None:
-    """Write an Arrow IPC file at once or not at all."""
+_SAID = pa.schema(
+    {
+        **dict.fromkeys(("scene", "split"), pa.string()),
+        **dict.fromkeys(("seed", "index"), pa.int64()),
+        **dict.fromkeys(("robot", "start", "policy"), pa.string()),
+        "noise": pa.float64(),
+        **dict.fromkeys(("transform", "env"), pa.string()),
+    }
+)
+
+
+def _said(header: Header) -> Json:
+    """What a header says, for the columns of `_SAID`."""
+    episode, noise = header.episode, header.policy.get("noise")
+    sigma = noise.get("sigma", 0.0) if isinstance(noise, dict) else 0.0
+    row = {key: _text(episode.get(key)) for key in ("scene", "split", "robot", "start")}
+    row |= {key: _whole(episode.get(key)) for key in ("seed", "index")}
+    return row | {
+        "policy": _text(header.policy.get("name")),
+        "noise": float(sigma) if isinstance(sigma, int | float) else 0.0,
+        "transform": _text(header.lineage.get("transform")),
+        "env": json.dumps(header.env),
+    }
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _whole(value: object) -> int | None:
+    return value if type(value) is int and abs(value) < 1 << 63 else None
+
+
+def _write(path: Path, table: pa.Table) -> list[int]:
+    """Write an Arrow IPC file at once or not at all; its size and CRC."""
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table.combine_chunks())
+    content = sink.getvalue()
+    _replace(path, memoryview(content))
+    return [content.size, zlib.crc32(content)]
+
+
+def _write_json(path: Path, content: Json) -> None:
+    _replace(path, memoryview(json.dumps(content).encode()))
+
+
+def _replace(path: Path, content: memoryview) -> None:
+    """Give a file new content, at once or not at all."""
     with translated(path, "write the cache"):
         handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        os.close(handle)
         try:
-            with pa.OSFile(name, "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
-                writer.write_table(table.combine_chunks())
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
             os.replace(name, path)
         except BaseException:
             os.unlink(name)
             raise
 
 
+def _read_json(path: Path) -> Json:
+    """A record of the cache; empty if it is missing, damaged or of another edition."""
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    sound = isinstance(content, dict) and content.get("edition") == EDITION
+    return content if sound else {}
+
+
 def _known(folder: Path) -> dict[str, tuple[str, int]]:
     """Shard and row of every episode in the cache, by the digest of its file."""
     known: dict[str, tuple[str, int]] = {}
-    for path in sorted(folder.glob(f"*{EPISODES}")):
-        shard = path.name.removesuffix(EPISODES)
-        for row, digest in enumerate(_mapped(path).column("digest").to_pylist()):
-            known[digest] = (shard, row)
+    for path in sorted(folder.glob(f"*{SUMS}")):
+        shard = path.name.removesuffix(SUMS)
+        if not _agrees(folder, shard, EPISODES):
+            continue
+        with suppress(pa.ArrowException, KeyError):
+            digests = _mapped(folder / f"{shard}{EPISODES}").column("digest").to_pylist()
+            known |= {digest: (shard, row) for row, digest in enumerate(digests)}
     return known
+
+
+def _agrees(folder: Path, shard: str, kind: str) -> bool:
+    """Whether a file of a shard has the size and the CRC that were noted when it was written."""
+    sums = _read_json(folder / f"{shard}{SUMS}").get("sums", {})
+    try:
+        with (folder / f"{shard}{kind}").open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size == 0 or sums.get(kind, [])[:1] != [size]:
+                return False
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                return bool(sums[kind] == [size, zlib.crc32(content)])
+    except (OSError, TypeError, AttributeError):
+        return False
+
+
+def _sound(folder: Path, shard: str) -> bool:
+    """Whether the steps of a shard can be learnt from."""
+    return _agrees(folder, shard, STEPS)
+
+
+def _remove(folder: Path, shards: Iterable[str]) -> None:
+    """Forget some shards; the record of their sums goes first."""
+    for shard in shards:
+        for kind in (SUMS, EPISODES, STEPS):
+            with suppress(OSError):
+                (folder / f"{shard}{kind}").unlink()
 
 
 def _mapped(path: Path) -> pa.Table:

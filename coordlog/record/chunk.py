@@ -294,7 +294,7 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
         opcode, length, found = (
             _MESSAGE_HEAD.unpack_from(data, offsets[0]) if offsets else (Opcode.MESSAGE, 0, channel)
         )
-    except (struct.error, ValueError) as error:
+    except (struct.error, ValueError, OverflowError) as error:
         raise FormatError(f"message index: {error}") from None
     if (opcode, found) != (Opcode.MESSAGE, channel):
         raise FormatError(

@@ -31,6 +31,7 @@ from coordlog.record.records import (
     MAGIC,
     RECORD_HEAD,
     TAIL_SIZE,
+    Span,
     unpack_definitions,
     unpack_metadata,
     walk,
@@ -60,14 +61,12 @@ class Contents:
     """Whether the file is of our own layout."""
     sure: bool = True
     """Whether every chunk had a CRC."""
-    room: int = MOST
-    """Bytes that further chunks may expand to."""
 
     def add_chunk(self, data: bytes) -> None:
         """Add all messages of an expanded chunk, and the channels that it defines."""
-        between: list[bytes] | None = None if self.own else []
+        between: list[bytes] = []
         messages = split(data, self.define(data), between)
-        self.learn(b"".join(between or ()))
+        self.learn(b"".join(between))
         for channel, records in messages.items():
             self._add(channel, records)
 
@@ -168,12 +167,16 @@ def contents(data: bytes, *, verify: bool = True, rows: bool = False) -> Content
         TruncatedError: if there is no commit marker.
         FormatError: if a record is damaged, or the file would expand to more than its size allows.
     """
-    view, own = memoryview(data), is_own(data)
-    found = Contents(own=own, room=min(MOST, len(data) * RATIO + SPARE))
+    view = memoryview(data)
+    spans = list(walk(view))
+    own = is_own(data, spans)
+    found = Contents(own=own)
     stop = summary_start(view[-TAIL_SIZE:], len(data)) if own else len(data)
-    found.room -= _require_room(view, stop, found.room)
+    _require_room(view, spans)
     chunk, at = b"", len(MAGIC)
-    for span in walk(view, stop=stop):
+    for span in spans:
+        if span.end > stop:
+            break
         content, at = view[span.start : span.end], span.end
         if span.opcode == Opcode.METADATA:
             found.add_metadata(*unpack_metadata(bytes(content)))
@@ -205,23 +208,20 @@ def contents(data: bytes, *, verify: bool = True, rows: bool = False) -> Content
     return found
 
 
-def _require_room(view: memoryview, stop: int, room: int) -> int:
-    """What all chunks of a file say that they expand to, before one of them is.
+def _require_room(view: memoryview, spans: list[Span]) -> None:
+    """Hold what all chunks of a file say that they expand to to its size, before one of them is.
 
     Raises:
-        FormatError: if that is more than `room`.
+        FormatError: if that is more than an episode can be.
     """
-    total = sum(
-        uncompressed_size(view[span.start : span.end])
-        for span in walk(view, stop=stop)
-        if span.opcode == Opcode.CHUNK
-    )
+    room = min(MOST, len(view) * RATIO + SPARE)
+    chunks = (view[span.start : span.end] for span in spans if span.opcode == Opcode.CHUNK)
+    total = sum(map(uncompressed_size, chunks))
     if total > room:
         raise FormatError(
             f"chunks that expand to {total} bytes, in a file of {len(view)}: expected at most "
             f"{room}; not an episode"
         )
-    return total
 
 
 def require_crc(data_end: bytes | memoryview, got: int) -> None:

@@ -10,7 +10,7 @@ A file that is not a finished episode is an error that names it; with `skip_brok
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,61 +19,26 @@ from typing import NamedTuple, TypeVar, overload
 import numpy as np
 import pyarrow as pa
 
-from coordlog.episode import Array, Episode
+from coordlog.episode import Array, Episode, Header
 from coordlog.errors import FormatError, SpecError, StorageError
-from coordlog.record.addresses import expand
 from coordlog.record.arrow import EPISODE_INDEX, arrow_field, record_batch
 from coordlog.record.contents import contents
 from coordlog.record.decoding import joined, opened_episode
+from coordlog.record.files import SUFFIX as SUFFIX
+from coordlog.record.files import Files as Files
+from coordlog.record.files import Skipped, find_files
+from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import probe, read_episode
-from coordlog.record.storage import PART
+from coordlog.record.recording import Recording
 from coordlog.spec import STEP_INDEX, before
 
 _T = TypeVar("_T")
 
-SUFFIX = ".mcap"
+Columns = tuple[dict[str, Array], dict[str, Array], Array]
+"""Columns of all steps and of all final states, and the lengths of the episodes."""
 
 _GROUP = 16  # files decoded together: their blocks stay in the cache
-
-
-class Skipped(NamedTuple):
-    """A file that was left out, and why."""
-
-    path: Path
-    reason: str
-
-
-class Files(NamedTuple):
-    """Episode files and part files, each sorted by name."""
-
-    paths: tuple[Path, ...]
-    parts: tuple[Path, ...]
-
-
-def find_files(path_or_paths: File | Iterable[File]) -> Files:
-    """The episode files that are named, or lie in the folders that are named, at any depth.
-
-    Raises:
-        StorageError: if a path does not exist.
-    """
-    given = [path_or_paths] if isinstance(path_or_paths, str | os.PathLike) else list(path_or_paths)
-    paths: list[Path] = []
-    parts: list[Path] = []
-    for path in map(Path, given):
-        found = expand(path, search=lambda sources: find_files(sources).paths)
-        if found is not None:
-            paths += found.paths
-            continue
-        if not path.exists():
-            raise StorageError(f"{path}: no such file or folder")
-        paths += _below(path, SUFFIX) if path.is_dir() else [path]
-        parts += _below(path, SUFFIX + PART) if path.is_dir() else []
-    return Files(tuple(paths), tuple(parts))
-
-
-def _below(folder: Path, suffix: str) -> list[Path]:
-    return sorted(path for path in folder.rglob("*" + suffix) if not path.is_dir())
 
 
 def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> Dataset:
@@ -91,6 +56,10 @@ def open(path_or_paths: File | Iterable[File], *, skip_broken: bool = False) -> 
     """
     files = find_files(path_or_paths)
     dataset = Dataset((), parts=files.parts, skip_broken=skip_broken)
+    if files.skipped and not skip_broken:
+        path, reason = files.skipped[0]
+        raise StorageError(f"{path}: {reason}; skip_broken leaves it out")
+    dataset.skipped += files.skipped
     dataset.paths = tuple(path for path in files.paths if dataset.attempt(path, probe) is not None)
     return dataset
 
@@ -145,6 +114,11 @@ class Dataset(Sequence[Episode]):
         """
         return self._table(_final_batch)
 
+    def recordings(self) -> Iterator[Recording]:
+        """Each episode as a recording, which reads its file when something is asked of it."""
+        for path in self.paths:
+            yield Recording(path)
+
     def attempt(self, path: Path, read: Callable[[Path], _T]) -> _T | None:
         """What `read` made of a file.
 
@@ -183,9 +157,9 @@ class Dataset(Sequence[Episode]):
             return [convert(group)]
         except FormatError:  # some file of the group: one at a time tells which
             tried = [
-                self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))
+                self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
                 for loaded in group
-            ]  # type: ignore[misc]
+            ]
             return [batch for batch in tried if batch is not None]
 
 
@@ -197,9 +171,11 @@ class _Loaded:
         with naming(path):
             self.found = contents(data, rows=True)
             self.header, self.result = opened_episode(self.found)
+        self.sha256 = hashlib.sha256(data).hexdigest()
         self.index, self.path = index, path
         self.layout, self.arms = self.header.layout, self.header.arms
         self.fields = self.header.fields
+        self.kind = repr((self.layout, self.arms, self.fields))
 
     def require_same(self, other: _Loaded) -> None:
         """Refuse to mix robots or tasks in one table."""
@@ -211,7 +187,7 @@ class _Loaded:
                 )
 
 
-def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], Array]:
+def _decoded(group: list[_Loaded]) -> Columns:
     """Columns of all steps and of all final states of a group, and the lengths of its episodes."""
     with naming(group[0].path):
         return joined(
@@ -221,8 +197,8 @@ def _decoded(group: list[_Loaded]) -> tuple[dict[str, Array], dict[str, Array], 
         )
 
 
-def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
-    steps, _, lengths = _decoded(group)
+def _step_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.RecordBatch:
+    steps, _, lengths = columns or _decoded(group)
     episode = np.repeat(np.array([loaded.index for loaded in group], np.int32), lengths)
     fields = [item for item in (STEP_INDEX, *group[0].fields) if item.name in steps]
     return record_batch(
@@ -231,8 +207,8 @@ def _step_batch(group: list[_Loaded]) -> pa.RecordBatch:
     )
 
 
-def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
-    _, final, lengths = _decoded(group)
+def _final_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.RecordBatch:
+    _, final, lengths = columns or _decoded(group)
     fields = [
         EPISODE_INDEX,
         *(arrow_field(i, group[0].layout) for i in before(group[0].fields) if i.name in final),
@@ -252,3 +228,83 @@ def _final_batch(group: list[_Loaded]) -> pa.RecordBatch:
     for name, values in rest.items():
         batch = batch.append_column(name, pa.array(values))
     return batch
+
+
+class Decoded(NamedTuple):
+    """Episodes of one kind (robot and task), decoded in one go."""
+
+    steps: pa.Table
+    """as `Dataset.to_table`"""
+    finals: pa.Table
+    """as `Dataset.finals`"""
+    headers: tuple[Header, ...]
+    digests: tuple[str, ...]
+    """sha256 of the files"""
+
+
+def decoded(
+    paths: Sequence[Path],
+    *,
+    skipped: list[Skipped],
+    digests: dict[Path, str],
+    known: frozenset[str] = frozenset(),
+) -> list[Decoded]:
+    """Files decoded kind by kind; each is read once.
+
+    Args:
+        paths: Files that may be episodes.
+        skipped: Those that are not are added here.
+        digests: The sha256 of those that are is added here.
+        known: Digests of files that need no decoding.
+    """
+    dataset = Dataset((), skip_broken=True)
+    kinds: dict[str, list[_Both]] = {}
+    seen = set(known)
+    for start in range(0, len(paths), _GROUP):
+        alike: dict[str, list[_Loaded]] = {}
+        for path in paths[start : start + _GROUP]:
+            loaded = dataset.attempt(path, partial(_Loaded, 0))
+            if loaded is None:
+                continue
+            digests[path] = loaded.sha256
+            if loaded.sha256 not in seen and loaded.result.length:
+                alike.setdefault(loaded.kind, []).append(loaded)
+                seen.add(loaded.sha256)
+        for kind, group in alike.items():
+            kinds.setdefault(kind, []).extend(_both(dataset, group))
+    skipped += dataset.skipped
+    for item in dataset.skipped:
+        digests.pop(item.path, None)
+    return [
+        Decoded(
+            pa.Table.from_batches([part.steps for part in parts]),
+            pa.Table.from_batches([part.finals for part in parts]),
+            tuple(loaded.header for part in parts for loaded in part.group),
+            tuple(loaded.sha256 for part in parts for loaded in part.group),
+        )
+        for parts in kinds.values()
+        if parts
+    ]
+
+
+class _Both(NamedTuple):
+    group: list[_Loaded]
+    steps: pa.RecordBatch
+    finals: pa.RecordBatch
+
+
+def _both(dataset: Dataset, group: list[_Loaded]) -> list[_Both]:
+    """Both batches of a group; if a file of it is broken, file by file."""
+
+    def convert(some: list[_Loaded]) -> _Both:
+        columns = _decoded(some)
+        return _Both(some, _step_batch(some, columns), _final_batch(some, columns))
+
+    try:
+        return [convert(group)]
+    except FormatError:
+        tried = [
+            dataset.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
+            for loaded in group
+        ]
+        return [both for both in tried if both is not None]

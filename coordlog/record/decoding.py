@@ -156,7 +156,8 @@ def joined(
         _decoded(group, message, layout)
         for message in (task_messages(header) if header.version > 1 else ())
     ]
-    if task and all(len(columns["step"]) for columns in task):
+    logged = [len(columns["step"]) > 0 for columns in task]
+    if task and all(logged[1:]) and (logged[0] or not lengths.sum()):
         last = task[1] if len(task) > 1 else {"step": final["step"]}
         require_order(task[0].pop("step"), last.pop("step"), lengths)
         steps |= task[0]

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from coordlog.episode import Json
-from coordlog.errors import FormatError
-from coordlog.record.dataset import Skipped, find_files
+from coordlog.errors import FormatError, StorageError
+from coordlog.record.files import Skipped, find_files, reason_of
 from coordlog.record.opening import File
 from coordlog.record.reader import read_summary
 
@@ -68,6 +68,8 @@ class Summary:
     totals: Totals
     skipped: tuple[Skipped, ...]
     parts: tuple[Path, ...]
+    others: tuple[tuple[str, int], ...] = ()
+    """Kinds of logs of other programs beside them, and how many of each."""
 
     def to_json(self) -> Json:
         """As plain JSON values."""
@@ -84,17 +86,17 @@ def summarise(path_or_paths: File | Iterable[File]) -> Summary:
     `skipped`.
 
     Raises:
-        StorageError: if a path does not exist or cannot be read.
+        StorageError: if a path does not exist, or the only one cannot be read.
     """
     files = find_files(path_or_paths)
     rows: list[Row] = []
-    skipped: list[Skipped] = []
+    skipped: list[Skipped] = list(files.skipped)
     for path in files.paths:
         try:
             rows.append(row(path))
-        except FormatError as error:
-            skipped.append(Skipped(path, str(error).removeprefix(f"{path}: ")))
-    return Summary(tuple(rows), _totals(rows), tuple(skipped), files.parts)
+        except (FormatError, StorageError) as error:
+            skipped.append(Skipped(path, reason_of(path, error)))
+    return Summary(tuple(rows), _totals(rows), tuple(skipped), files.parts, files.others)
 
 
 def row(path: File) -> Row:
@@ -121,7 +123,7 @@ def row(path: File) -> Row:
         truncated=result.truncated,
         aborted=result.aborted,
         transform=str(lineage.get("transform", "")),
-        parents=tuple(lineage.get("parents", ())),
+        parents=tuple(map(str, lineage.get("parents") or ())),
         size=size,
     )
 

@@ -8,9 +8,11 @@ first; one that another MCAP tool has written again may hold them anywhere betwe
 from __future__ import annotations
 
 import os
+import re
+import stat
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from coordlog.record.records import (
     walk,
 )
 from coordlog.record.storage import translated
+from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
 
@@ -36,6 +39,9 @@ OURS = "coordlog/"
 PREFIX = "coordlog."
 HEAD = 1 << 16
 """Enough for the opening metadata of any robot we know; more is read where it is not."""
+_ORDER = re.compile(rb"\x01(\x0c{0,3}|\x0c{4}\x09*(\x06\x07*)*(\x0c(\x0f.*)?)?)\Z", re.DOTALL)
+"""Our records by opcode: header, four of metadata, attachments, chunks with their indexes, the
+commit marker, the end of the data; or the start of such."""
 BIG = 1 << 26
 """A file of more bytes than this is looked at before all of it is read."""
 
@@ -66,8 +72,10 @@ def opened(path: File) -> Iterator[int]:
             return
         if os.path.isdir(path):
             raise FormatError("a folder, not an episode file; coordlog.open reads folders")
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # of a pipe: no wait
         try:
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise FormatError("expected a file, got a pipe, a socket or a device")
             yield fd
         finally:
             os.close(fd)
@@ -112,14 +120,28 @@ def writer_of(data: bytes | memoryview) -> str:
         return ""
 
 
-def is_own(data: bytes | memoryview) -> bool:
-    """Whether a file that starts like this is of our own layout: coordlog wrote its bytes."""
-    return writer_of(data).startswith(OURS)
+def is_own(data: bytes | memoryview, spans: Sequence[Span] | None = None) -> bool:
+    """Whether a file that starts like this is of our own layout, as far as it goes: it says that
+    coordlog wrote it, and its records come in our order. Other tools may keep the name.
+
+    Args:
+        data: The file, or its start.
+        spans: Its records, where the caller has them.
+    """
+    spans = list(walk(data)) if spans is None else spans
+    kinds = bytes(span.opcode for span in spans)
+    if not writer_of(data).startswith(OURS) or not _ORDER.match(kinds):
+        return False
+    ends = [span for span in spans if span.opcode == Opcode.DATA_END]
+    return not ends or any(data[ends[0].start : ends[0].end])  # a CRC of zero is none
 
 
 def rewritten_by(data: bytes | memoryview) -> str:
     """The other program that wrote this episode's bytes anew; "" if coordlog did."""
-    return "" if is_own(data) else printable(writer_of(data)) or "an unknown program"
+    if is_own(data):
+        return ""
+    name = printable(writer_of(data))
+    return "another MCAP tool" if name.startswith(OURS) else name or "an unknown program"
 
 
 def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
@@ -138,16 +160,26 @@ def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
     if len(data) < len(MAGIC) and MAGIC.startswith(data):
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
     if data[: len(MAGIC)] != MAGIC:
-        raise FormatError("not an MCAP file; expected an episode written by coordlog")
+        what = recognise(data)
+        raise FormatError(
+            f"not an MCAP file; expected an episode written by coordlog{what and ', got '}{what}"
+        )
     span = next(walk(data), Span(0, 0, 0))
     if span.opcode == 0 and whole:
         raise TruncatedError(f"only {len(data)} bytes of an MCAP file: nothing to recover")
-    if is_own(data) or (whole and any(name.startswith(PREFIX) for name in _metadata_names(data))):
+    if writer_of(data).startswith(OURS) or any(
+        name.startswith(PREFIX) for name in _metadata_names(data)
+    ):
         return
+    if not whole and span.opcode == Opcode.HEADER and len(data) >= HEAD:
+        return  # an episode's records may come further on
     said = printable(
         bytes(data[span.start : min(span.end, span.start + 200)]).decode("ascii", "replace")
     )
-    raise FormatError(f"an MCAP file, but not a coordlog episode: its header says '{said}'")
+    raise FormatError(
+        f"an MCAP file, but not a coordlog episode: its header says '{said}';"
+        " `coordlog import` takes what ROS 2 wrote"
+    )
 
 
 def printable(text: str) -> str:
@@ -188,6 +220,8 @@ def verify_summary(summary: memoryview) -> None:
         FormatError: if it differs.
     """
     crc = FOOTER.unpack_from(summary, len(summary) - TAIL_SIZE)[-1]
+    if crc == 0:  # another tool wrote none
+        return
     got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
     if crc != got:
         raise FormatError(

@@ -25,10 +25,12 @@ from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.contents import MOST, Contents, contents, require_crc
 from coordlog.record.decoding import decode, require_header
 from coordlog.record.metadata import (
+    EPISODE,
     HEADER_RECORDS,
     RESULT,
     decode_header,
     decode_result,
+    require_version,
     vouched,
 )
 from coordlog.record.opening import (
@@ -116,23 +118,27 @@ def _ends(fd: int) -> tuple[Records, int]:
     """The metadata records of a finished file, vouched for, and its size."""
     size = os.fstat(fd).st_size
     head = read(fd, 0, HEAD)
-    if not is_own(head) or size <= HEAD:
-        data = head if size <= HEAD else _whole(fd, size)
-        require_coordlog(data)
-        records = _metadata(memoryview(data))
-        if is_own(data):
-            start = summary_start(data[-TAIL_SIZE:], size)
-            verify_summary(memoryview(data)[start:])
-    else:
-        records = dict(_opening(fd, head))
+    require_coordlog(head, whole=size <= HEAD)
+    own = is_own(head)
+    if own and size > HEAD:
+        records = _opening(fd, head)
         start = summary_start(read(fd, max(size - TAIL_SIZE, 0), size), size)
         summary = memoryview(read(fd, start, size))
         verify_summary(summary)
         records |= _marker(fd, summary)
+    else:
+        data = head if size <= HEAD else _whole(fd, size)
+        records = metadata(data)
+        require_header(records)
+        require_version(records[EPISODE])
+        if own:
+            start = summary_start(data[-TAIL_SIZE:], size)
+            verify_summary(memoryview(data)[start:])
+    require_header(records)
+    require_version(records[EPISODE])
     if RESULT not in records:
         raise TruncatedError(no_marker(size))
-    require_header(records)
-    if not vouched(records) and is_own(head):
+    if not vouched(records) and own:
         _verify_data(fd, start)
     return records, size
 
@@ -143,9 +149,13 @@ def _whole(fd: int, size: int) -> bytes:
     return read(fd, 0, size)
 
 
-def _metadata(view: memoryview) -> dict[str, Mapping[str, str]]:
-    """Every metadata record of a file."""
-    found = Contents()
+def metadata(data: bytes) -> dict[str, Mapping[str, str]]:
+    """Every metadata record of a file, as it stands there.
+
+    Raises:
+        FormatError: if one is not well formed, or there are two of coordlog's with one name.
+    """
+    found, view = Contents(), memoryview(data)
     for span in walk(view):
         if span.opcode == Opcode.METADATA:
             found.add_metadata(*unpack_metadata(bytes(view[span.start : span.end])))
@@ -177,7 +187,7 @@ def _opening(fd: int, head: bytes) -> dict[str, Mapping[str, str]]:
     if not is_own(head):
         data = head if size <= len(head) else _whole(fd, size)
         require_coordlog(data)
-        return _metadata(memoryview(data))
+        return metadata(data)
     for data in (head, b""):
         view = memoryview(data or read(fd, 0, size))
         require_coordlog(view)
@@ -233,7 +243,7 @@ def attachments(data: bytes) -> dict[str, bytes]:
         if span.opcode == Opcode.ATTACHMENT:
             name, content = unpack_attachment(view[span.start : span.end])
             found[name] = content
-    records = _metadata(view)
+    records = metadata(data)
     if RESULT in records:
         for name, wanted in vouched(records).get("attachments", {}).items():
             if name not in found:

@@ -8,6 +8,7 @@ system refuses becomes one StorageError.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,6 +51,7 @@ class PartFile:
             self._fd = os.open(
                 self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666
             )
+            lock(self._fd)
 
     def append(self, data: bytes) -> None:
         """Hand all bytes to the operating system: they survive a crash of this process.
@@ -97,6 +99,34 @@ class PartFile:
         except StorageError:
             self.close()
             raise
+
+
+def lock(fd: int) -> bool:
+    """Mark an open file as worked on, until it is closed or its holder dies.
+
+    Returns:
+        False if somebody else holds it; True too where the file system has no locks.
+    """
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EAGAIN)
+    return True
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[bool]:
+    """Hold a file as long as the context lasts, and tell whether nobody else does.
+
+    Raises:
+        StorageError: if the file cannot be opened.
+    """
+    with translated(path, "read"):
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        yield lock(fd)
+    finally:
+        os.close(fd)
 
 
 def refuse_existing(path: Path) -> None:

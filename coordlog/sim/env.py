@@ -85,7 +85,7 @@ class BatchEnv:
         self._rest = rest.row
         standing = self._rest[1 : 1 + model.nq]
         self.draw = Draw(
-            scene, rules, model, config, standing=standing, start=start, resting=self.resting
+            scene, rules, model, config, standing=standing, resting=self.resting, start=start
         )
         self._packed: dict[str, bytes] = {}
         self._object = (

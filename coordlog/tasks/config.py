@@ -5,11 +5,14 @@ The paper publishes none of them: every value here is our choice, and is written
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 from coordlog.errors import ConfigError, unknown
 
 BALANCE_CRITERIA = ("com", "com+zmp")
+MOST_SUBSTEPS = 10_000
+"""Physics steps that an action may take; ours take 8, and each is kept in memory."""
 STATE_EXTRAS = ("difference", "com", "nearness", "velocity")
 FATTEST = 0.02
 """Obstacles grow by no more than this [m]: the clearance that drawn problems leave around goals and
@@ -87,6 +90,10 @@ class EnvConfig:
             raise ConfigError(
                 f"smoothing: expected a number from 0 to below 1, got {self.smoothing}"
             )
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ConfigError(f"{item.name}: expected a finite number, got {value}")
         for name in ("start_line", "start_random", "start_solved"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(
@@ -112,7 +119,11 @@ class EnvConfig:
         Raises:
             ConfigError: if the control period is not a whole number of timesteps.
         """
-        count = round(self.control_period / timestep)
+        count = round(min(self.control_period / timestep, MOST_SUBSTEPS + 1.0))
+        if count > MOST_SUBSTEPS:
+            raise ConfigError(
+                f"control_period: expected at most {MOST_SUBSTEPS:,} timesteps of {timestep} s, got {self.control_period} s"
+            )
         if count < 1 or abs(count * timestep - self.control_period) > 1e-9:
             raise ConfigError(
                 f"control_period: expected a multiple of the model's timestep {timestep} s, got {self.control_period} s"
@@ -142,7 +153,7 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            if not getattr(self, item.name) >= 0:
+            if not 0 <= getattr(self, item.name) < math.inf:
                 raise ConfigError(
                     f"reward {item.name}: expected a number ≥ 0, got {getattr(self, item.name)}"
                 )

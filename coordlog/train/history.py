@@ -12,9 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from coordlog.episode import Array, Json
-from coordlog.errors import ConfigError
 from coordlog.train.metrics import read_metrics
-from coordlog.train.run import RUN, recall
+from coordlog.train.run import recall
 
 Against = Literal["episodes", "updates", "steps"]
 Kind = Literal["evaluation", "training"]
@@ -22,7 +21,6 @@ Kind = Literal["evaluation", "training"]
 MODES = {"logs": "from logs", "live": "live", "both": "logs and live"}
 DIFFERENCES = 3
 """A label names at most this many settings."""
-NEEDED = ("scene", "mode", "settings", "seed")
 
 
 class Line(NamedTuple):
@@ -58,7 +56,7 @@ class History:
         rows = [
             row
             for row in self.rows
-            if row["kind"] == kind and row.get("episodes") and row.get(name) is not None
+            if row.get("kind") == kind and row.get("episodes") and row.get(name) is not None
         ]
         x = np.array([self._place(row, against) for row in rows], dtype=np.float64)
         y = np.array([row[name] for row in rows], dtype=np.float64)
@@ -70,11 +68,11 @@ class History:
     @property
     def live(self) -> bool:
         """Whether the run has taken live steps."""
-        return any(row["step"] for row in self.rows)
+        return any(row.get("step") for row in self.rows)
 
     def _place(self, row: Json, against: Against) -> float:
         if against != "episodes":
-            return float(row["update"] if against == "updates" else row["step"])
+            return float(row["update"] if against == "updates" else row.get("step", 0))
         if "episodes_total" in row:
             return float(row["episodes_total"])
         counted = [other for other in self.rows if "episodes_total" in other]
@@ -94,13 +92,7 @@ def load_history(folder: Path) -> History:
         ConfigError: if its run.json is damaged.
         FormatError: if its metrics are.
     """
-    said = recall(folder)
-    missing = [key for key in NEEDED if key not in said]
-    if missing:
-        raise ConfigError(
-            f"{folder / RUN}: expected what a run was about, {', '.join(missing)} missing; is it of another program?"
-        )
-    return History(folder, said, read_metrics(folder / "metrics.jsonl"))
+    return History(folder, recall(folder), read_metrics(folder / "metrics.jsonl"))
 
 
 def band(lines: Sequence[Line]) -> Band:
@@ -145,6 +137,7 @@ def _constants(said: Json) -> dict[str, object]:
     flat = {
         f"{name}.{key}": value
         for name, section in sections.items()
+        if isinstance(section, dict)
         for key, value in section.items()
     }
     flat.pop("loop.seed", None)

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from coordlog.episode import Array, Json
-from coordlog.errors import ConfigError, SpecError, StorageError
+from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.policies.checkpoint import (
     generator_from_json,
     generator_to_json,
@@ -374,7 +374,20 @@ class Trainer:
             self.policy().save(self.folder / "policy.safetensors")
 
     def _load(self, path: Path) -> None:
-        """Continue from a checkpoint of `_save`."""
+        """Continue from a checkpoint of `_save`.
+
+        Raises:
+            FormatError: if it is not one, or of another network.
+        """
+        try:
+            self._restore(path)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
+            said = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+            raise FormatError(
+                f"{path}: expected a checkpoint of this run, got another: {said}"
+            ) from error
+
+    def _restore(self, path: Path) -> None:
         arrays, meta = load_arrays(path, kind=KIND)
         refuse_changes(self.settings, meta["settings"])
         if meta["log_transitions"] != self.log_transitions:

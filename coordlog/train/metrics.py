@@ -20,6 +20,14 @@ from coordlog.train.digrad import Update
 
 Row = dict[str, float | int | str | None]
 
+MOST = 512 << 20
+"""Largest file of metrics that is read [bytes]."""
+WORDS = ("kind", "name", "advice")
+"""Keys of a row that hold a text."""
+COUNTS = ("update", "step")
+"""Keys that are counts."""
+LARGEST = 1e300
+
 TIMING = ("seconds", "updates_per_second", "steps_per_second")
 """Keys of a row that two runs from one seed do not share."""
 
@@ -207,15 +215,38 @@ def read_metrics(path: Path) -> list[Json]:
 
 def _rows(path: Path) -> list[tuple[bytes, Json]]:
     try:
-        lines = path.read_bytes().splitlines(keepends=True)
+        with path.open("rb") as stream:
+            data = stream.read(MOST + 1)
     except OSError as error:
         raise StorageError(f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > MOST:
+        raise FormatError(f"{path}: expected at most {MOST:,} bytes of metrics, got more")
     rows = []
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(data.splitlines(keepends=True), start=1):
         if not line.endswith(b"\n"):
             break
         try:
-            rows.append((line, dict(json.loads(line))))
-        except (ValueError, TypeError) as error:
-            raise FormatError(f"{path}: line {number} is not a row of metrics") from error
+            rows.append((line, _row(json.loads(line))))
+        except (ValueError, RecursionError) as error:
+            reason = "too deep" if isinstance(error, RecursionError) else str(error)
+            raise FormatError(f"{path}: line {number} is not a row of metrics: {reason}") from None
     return rows
+
+
+def _row(row: object) -> Json:
+    """A row, if it is one: a kind, an update and a step, and figures that are numbers or null.
+
+    Raises:
+        ValueError: saying what is wrong.
+    """
+    if not isinstance(row, dict) or not isinstance(row.get("kind", ""), str):
+        raise ValueError("expected an object whose kind is a text")
+    for name, value in row.items():
+        if name in WORDS:
+            continue
+        number = isinstance(value, int | float) and abs(value) <= LARGEST
+        if not number and (value is not None or name in COUNTS):
+            raise ValueError(f"'{name}': expected a number, got {str(value)[:40]!r}")
+    if "update" not in row:
+        raise ValueError("'update' is missing")
+    return row

@@ -95,10 +95,11 @@ def _foreign(data: bytes) -> Iterator[Problem]:
     """
     for span in walk(data):
         if span.opcode == Opcode.DATA_END:
+            stop = span.start - RECORD_HEAD.size
             (crc,) = struct.unpack_from("<I", data, span.start)
-            got = zlib.crc32(memoryview(data)[: span.start - RECORD_HEAD.size])
-            if crc not in (0, got):
-                yield Problem(None, "data section", f"CRC {crc:08x}", f"{got:08x}")
+            if crc not in (0, zlib.crc32(memoryview(data)[:stop])):
+                yield from damages(data, stop, crc)
+                return
             break
     decode(contents(data))
     attachments(data)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from coordlog.episode import Array, Episode, Header, Result
-from coordlog.errors import FormatError, TruncatedError
+from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.chunk import expand
 from coordlog.record.contents import Contents, contents
 from coordlog.record.decoding import decode
@@ -40,12 +41,14 @@ from coordlog.record.records import (
     unpack_metadata,
     walk,
 )
-from coordlog.record.storage import PART, PartFile, move_new, refuse_existing, translated
+from coordlog.record.storage import PART, PartFile, locked, move_new, refuse_existing, translated
 from coordlog.record.topics import task_messages
 from coordlog.record.writer import write_episode
 from coordlog.spec import CONTACTS, FINAL, INPUTS, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
 from coordlog.verify.damage import repaired
 
+DRAFT = ".recovering"
+"""Ends the name of what is being recovered."""
 ABORTED = "recovered"
 """Why a recovered episode ends where it does."""
 
@@ -84,6 +87,8 @@ class _Ground:
 def recover(path: File, out: File | None = None) -> Recovered:
     """Write what is complete in a part file or a damaged file as a valid episode.
 
+    What an earlier try left behind is removed; if this one fails, it leaves nothing behind.
+
     Args:
         path: The file; left as it is.
         out: Name of the episode; by default NAME.mcap for NAME.mcap.part, NAME.recovered.mcap for a
@@ -92,34 +97,62 @@ def recover(path: File, out: File | None = None) -> Recovered:
     Raises:
         FormatError: if the file is not coordlog's, holds no step whose outcome is known, or is a
             finished episode already.
-        StorageError: if the new file exists or cannot be written.
+        StorageError: if the new file exists or cannot be written, or the file is being written by
+            another process.
     """
-    source, data = FilePath(path), load(path)
-    target = _target(source) if out is None else FilePath(out)
-    refuse_existing(target)
-    draft = target.with_name(target.name + ".recovering")
-    with naming(path):
-        whole = restored_whole(data)
-        if whole is not None:
-            if whole == data and source.suffix != PART:
-                raise FormatError("a finished episode: there is nothing to recover")
-            file = PartFile(draft)
-            file.append(whole)
-            file.publish()
-            steps = len(decode(contents(whole)))
-            lost, lossy = (
-                "nothing" if whole == data else "nothing; a flipped bit was put back",
-                False,
+    source = FilePath(path)
+    target = target_of(source) if out is None else FilePath(out)
+    draft = target.with_name(target.name + DRAFT)
+    with locked(source) as ours:
+        if not ours:
+            raise StorageError(
+                f"{source}: is being written or recovered by another process; wait for its end"
             )
-        else:
-            salvage = salvaged(data)
-            steps, lost, lossy = len(salvage.episode), salvage.lost, salvage.lossy
-            write_episode(
-                draft, salvage.episode, attachments=salvage.attachments, display=salvage.display
-            )
-    with translated(target, "publish the file", f"the recovered episode is {draft}"):
-        move_new(draft, target)
-    return Recovered(target, steps, lost, lossy)
+        data = load(path)
+        refuse_existing(target)
+        _tidy(draft)
+        try:
+            with naming(path):
+                done = _write(source, data, draft)
+            with translated(target, "publish the file"):
+                move_new(draft, target)
+        except StorageError as error:
+            cause = error.__cause__
+            reason = (isinstance(cause, OSError) and cause.strerror) or str(error)
+            raise StorageError(
+                f"{target}: cannot write the recovered episode: {reason}; {source} is as it was"
+            ) from error
+        finally:
+            _tidy(draft)
+    return Recovered(target, *done)
+
+
+def _tidy(draft: FilePath) -> None:
+    """Remove what is left of a try to recover."""
+    for leftover in (draft, draft.with_name(draft.name + PART)):
+        with suppress(OSError):
+            leftover.unlink()
+
+
+def _write(source: FilePath, data: bytes, draft: FilePath) -> tuple[int, str, bool]:
+    """Write the recovered episode; steps kept, what was lost, and whether a step was."""
+    whole = restored_whole(data)
+    if whole is None:
+        salvage = salvaged(data)
+        write_episode(
+            draft, salvage.episode, attachments=salvage.attachments, display=salvage.display
+        )
+        return len(salvage.episode), salvage.lost, salvage.lossy
+    if whole == data and source.suffix != PART:
+        raise FormatError("a finished episode: there is nothing to recover")
+    file = PartFile(draft)
+    try:
+        file.append(whole)
+        file.publish()
+    finally:
+        file.close()
+    lost = "nothing" if whole == data else "nothing; a flipped bit was put back"
+    return len(decode(contents(whole))), lost, False
 
 
 def restored_whole(data: bytes) -> bytes | None:
@@ -128,16 +161,13 @@ def restored_whole(data: bytes) -> bytes | None:
     None if the file is not whole.
     """
     try:
-        if not is_own(data):
-            decode(contents(data))
-            return data
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         stop = start - DATA_END.size
         verify_summary(memoryview(data)[start:])
         opcode, _, crc = DATA_END.unpack_from(data, max(stop, 0))
         if opcode != Opcode.DATA_END:
             return None
-        if zlib.crc32(memoryview(data)[:stop]) != crc:
+        if crc not in (0, zlib.crc32(memoryview(data)[:stop])):
             repair = repaired(data, stop, crc)
             if repair is None:
                 return None
@@ -258,7 +288,8 @@ def _unknown_result(aborted: str) -> Result:
     return Result(0, (), False, False, False, False, aborted, "")
 
 
-def _target(source: FilePath) -> FilePath:
+def target_of(source: FilePath) -> FilePath:
+    """The name that a recovered episode gets by itself."""
     return (
         source.with_suffix("")
         if source.suffix == PART

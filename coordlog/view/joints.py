@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from coordlog.kinematics.geometry import Geometry
 from coordlog.robots.robot import Robot
 from coordlog.view.palette import ARMS, JOINTS, Colour, cycle
 
+FORMATS = (".png", ".pdf", ".svg")
 FINE = 8
 """A spline is drawn as this many straight lines per piece."""
 
@@ -72,26 +75,52 @@ def joints_figure(
     return figure
 
 
+def figure_path(path: Path) -> Path:
+    """The name that a figure is written under: a name without an ending is one of a PNG.
+
+    Raises:
+        StorageError: if the name ends in another format.
+    """
+    if path.suffix in ("", "."):
+        return path.with_name(path.name.rstrip(".") + ".png")
+    if path.suffix.lower() not in FORMATS:
+        raise StorageError(
+            f"{path}: expected a name that ends in .png, .pdf or .svg, got '{path.suffix}'"
+        )
+    return path
+
+
 def save(figure: Figure, path: Path, *, force: bool = False) -> None:
-    """Write a figure in the format its name ends in: png, pdf or svg.
+    """Write a figure in the format its name ends in, at once or not at all.
 
     Raises:
         StorageError: if the file exists and is not to be replaced, the format is unknown, or the
             file system refuses.
     """
-    if path.exists() and not force:
+    path = figure_path(path)
+    refuse_figure(path, force=force)
+    content = BytesIO()
+    figure.savefig(content, dpi=150, format=path.suffix[1:].lower())
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb" if force else "xb") as stream:
+            stream.write(content.getbuffer())
+    except FileExistsError:
+        refuse_figure(path, force=False)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot write the figure: {error.strerror}") from error
+
+
+def refuse_figure(path: Path, *, force: bool) -> None:
+    """Refuse to write over what has this name, unless that is wanted.
+
+    Raises:
+        StorageError: if something has.
+    """
+    if os.path.lexists(path) and not force:
         raise StorageError(
             f"{path}: the file exists and is not overwritten; choose another name, or pass --force"
         )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=150)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot write the figure: {error.strerror}") from error
-    except ValueError as error:
-        raise StorageError(
-            f"{path}: expected a name that ends in .png, .pdf or .svg; {str(error).splitlines()[0]}"
-        ) from error
 
 
 def _angles(

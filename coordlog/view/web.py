@@ -8,11 +8,13 @@ policy: the browser itself refuses every other address.
 
 from __future__ import annotations
 
+import sys
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -28,6 +30,17 @@ POLICY = (
 )
 """What the page may load: its own parts, and recordings from {source}."""
 PASSED_ON = ("Content-Type", "rerun-final-length")
+
+
+class Server(ThreadingHTTPServer):
+    """A server that says nothing when a browser goes away in the middle of an answer."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Print what is a fault of ours, and nothing else."""
+        if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
 class Page(BaseHTTPRequestHandler):
@@ -46,7 +59,7 @@ class Page(BaseHTTPRequestHandler):
                     answer.read(),
                     [(name, answer.headers[name]) for name in PASSED_ON if name in answer.headers],
                 )
-        except urllib.error.URLError:
+        except (OSError, HTTPException):  # URLError is an OSError
             self.send_error(404)
             return
         self.send_response(200)
@@ -84,7 +97,7 @@ def web_viewer(rrd: Path, *, port: int = 0) -> Iterator[str]:
             (Page,),
             {"origin": origin, "policy": POLICY.format(source=f"http://{HOST}:{viewer.port}")},
         )
-        with ThreadingHTTPServer((HOST, port), page) as server:
+        with Server((HOST, port), page) as server:
             Thread(target=server.serve_forever, daemon=True).start()
             yield f"http://{HOST}:{port}/?url={quote(viewer.url, safe=':/')}&theme=dark&hide_welcome_screen&persist=0"
             server.shutdown()

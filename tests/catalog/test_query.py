@@ -19,11 +19,17 @@ from tests.catalog.logs import write
 DATA = Path(__file__).parents[1] / "data" / "v1"
 
 
-@pytest.fixture
-def logs(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
     for number in range(40):
-        write(tmp_path / "logs" / f"{number:02}.mcap", number)
-    return tmp_path / "logs"
+        write(folder / f"{number:02}.mcap", number)
+    return folder
+
+
+@pytest.fixture
+def logs(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "logs"))
 
 
 @pytest.mark.parametrize("compact", [False, True])
@@ -133,3 +139,17 @@ def test_sql_that_does_anything_else_is_refused(sql: str, tmp_path: Path) -> Non
 def test_no_episode_has_no_steps() -> None:
     with pytest.raises(ConfigError, match="no episode to take steps of"):
         StepStream([])
+
+
+def test_the_catalogue_itself_can_be_read_and_never_written(logs: Path) -> None:
+    catalog = Catalog(logs)
+    catalog.refresh()
+    (part,) = (logs / ".catalog").iterdir()
+    before = part.read_bytes()
+    sources = gather([logs], scan=False).sources
+    assert ask(f"select count(*) from read_parquet('{part}')", sources).num_rows == 1
+    with pytest.raises(ConfigError):
+        ask(f"copy (select 1) to '{part}'", sources)
+    with pytest.raises(ConfigError, match="file system operations are disabled"):
+        ask(f"select * from read_parquet('{logs}/.catalog/../.catalog/*')", sources)
+    assert part.read_bytes() == before

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coordlog.catalog.gather import gather
+from coordlog.catalog.index import Catalog
 from coordlog.catalog.selection import Split, difference, select
 from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.record import manifest
@@ -103,7 +104,8 @@ def test_a_split_is_whole_and_keeps_equal_goals_together(logs: Path, tmp_path: P
     chosen = select(gather([logs]), split=how, out=tmp_path / "x.manifest")
     assert len(chosen.chosen) == 30
     seen: dict[str, set[str]] = {}
-    goals = {row["digest"]: row["goal"] for row in gather([logs]).sources[0].rows.to_pylist()}
+    rows = Catalog(logs).episodes().to_pylist()
+    goals = {row["digest"]: row["goal"] for row in rows}
     for each in chosen.chosen:
         seen.setdefault(goals[each.digest], set()).add(each.part)
     assert all(len(parts) == 1 for parts in seen.values())

@@ -150,22 +150,14 @@ def test_shares_of_the_work_make_the_whole(logs: Path) -> None:
         )
 
 
-def test_recording_into_a_pack_gives_the_files_of_a_folder(tmp_path: Path) -> None:
-    same = ("--scene", "free", "--policy", "random", "--epoch", 1, "--envs", 2)
-    answer("record", *same, "--episodes", 3, "--out", tmp_path / "logs")
-    for i in (1, 2):
-        answer(
-            "record",
-            *same,
-            "--episodes",
-            3,
-            "--shard",
-            f"{i}/2",
-            "--pack",
-            "--out",
-            tmp_path / "PACK",
-        )
-    assert answer("diff", tmp_path / "logs", tmp_path / "PACK").exit_code == 0
+def test_recording_a_share_into_a_pack_gives_those_files_of_a_folder(tmp_path: Path) -> None:
+    same = ("--scene", "free", "--policy", "random", "--episodes", 2, "--epoch", 1, "--envs", 1)
+    answer("record", *same, "--out", tmp_path / "logs")
+    answer("record", *same, "--shard", "2/2", "--pack", "--out", tmp_path / "PACK")
+    answer("unpack", tmp_path / "PACK", "--out", tmp_path / "back")
+    (path,) = (tmp_path / "back").iterdir()
+    assert "-000001-" in path.name
+    assert path.read_bytes() == (tmp_path / "logs" / path.name).read_bytes()
 
 
 def test_what_is_not_there_is_said(logs: Path) -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coordlog.episode import INITIAL_STATE, MODEL_MJB, MODEL_XML
+from coordlog.episode import INITIAL_STATE
 from coordlog.errors import ConfigError, FormatError, SimulationError
 from coordlog.exchange import cameras
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 
 PLANAR = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
 CAMERA = "pos=0.3,-0.2,2 lookat=0.3,0,0"
@@ -26,7 +26,7 @@ def loaded():
 
 @pytest.fixture(scope="module")
 def model(loaded):
-    return load_model(loaded.attachments.get(MODEL_XML), loaded.attachments.get(MODEL_MJB))
+    return load_attached(loaded.attachments)
 
 
 @pytest.fixture(scope="module")

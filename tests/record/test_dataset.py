@@ -9,7 +9,6 @@ from coordlog.errors import FormatError, SpecError, StorageError, TruncatedError
 from coordlog.record import dataset
 from coordlog.record.records import walk
 from coordlog.record.writer import write_episode
-from coordlog.spec import STEP
 from tests.record.test_reader import bad_files
 from tests.synthetic import (
     ATTACHMENTS,
@@ -68,10 +67,10 @@ def test_files_and_folders_can_be_mixed(folder):
 def test_the_table_has_every_step_bit_for_bit(folder, episodes):
     table = dataset.open(folder).to_table()
     table.validate(full=True)
-    assert table.column_names == ["episode", *(item.name for item in STEP.fields)]
+    assert table.column_names == ["episode", "step", *episodes[0].columns]
     assert table["episode"].to_pylist() == [0] * 30 + [1] + [2] * 77
     assert table["step"].to_pylist() == [*range(30), 0, *range(77)]
-    for item in STEP.fields[1:]:
+    for item in episodes[0].header.fields:
         wanted = np.concatenate(
             [getattr(episode, item.name)[: len(episode)] for episode in episodes]
         )
@@ -168,9 +167,7 @@ def test_one_file_with_wrong_messages_does_not_spoil_its_group(tmp_path, rng):
     wrong = make_episode(rng, length=3)
     with EpisodeWriter(tmp_path / "b.mcap", wrong.header, attachments={}, display=False) as writer:
         writer._tally.length = 7
-        writer.write_steps(
-            7, {item.name: getattr(wrong, item.name)[:3] for item in STEP.fields[1:]}
-        )
+        writer.write_steps(7, {name: values[:3] for name, values in wrong.columns.items()})
         writer.finish(
             {name: getattr(wrong, name)[-1] for name in ("time", "qpos", "qvel", "state")}
         )

@@ -6,7 +6,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from coordlog.record.metadata import HEADER_RECORDS, RESULT, encode_header, encode_result
+from coordlog.record.metadata import HEADER_RECORDS, RESULT, decode_result, encode_header
 from coordlog.record.writer import write_episode
 from coordlog.spec import ARM, CONTACTS, FINAL, JOINT_STATE_TOPIC, KNOT, SPLINE, STEP
 from tests.synthetic import ATTACHMENTS, PLANAR, START, make_episode
@@ -86,16 +86,20 @@ def test_the_plain_reader_finds_everything_with_crcs_validated(shown):
         assert statistics.channel_message_counts == counts
         assert all(counts.values())  # no channel without a message
         assert statistics.message_count == sum(counts.values())
-        assert statistics.schema_count == len(summary.schemas) == 7
-        assert statistics.channel_count == len(summary.channels) == 6 + 3
+        assert statistics.schema_count == len(summary.schemas) == 8
+        assert statistics.channel_count == len(summary.channels) == 7 + 3
         assert statistics.chunk_count == len(summary.chunk_indexes) == 4
         assert statistics.message_start_time == START
         assert statistics.message_end_time == START + 60 * 40_000_000
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-        assert metadata == encode_header(episode.header) | {RESULT: encode_result(episode.result)}
+        assert metadata == encode_header(episode.header) | {RESULT: metadata[RESULT]}
+        assert decode_result(metadata[RESULT]) == episode.result
         assert list(metadata) == [*HEADER_RECORDS, RESULT]
         assert {record.name: record.data for record in reader.iter_attachments()} == ATTACHMENTS
-        assert (reader.get_header().profile, reader.get_header().library) == ("", "coordlog/0.1.0")
+        assert (reader.get_header().profile, reader.get_header().library) == (
+            "ros2",
+            "coordlog/0.1.0",
+        )
 
 
 def test_a_streaming_reader_finds_them_in_order_of_time_with_every_crc_right(shown):

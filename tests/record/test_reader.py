@@ -64,7 +64,7 @@ def bad_files(folder, header):
         "folder.mcap": "a folder, not an episode file",
         "foreign.mcap": "an MCAP file, but not a coordlog episode: its header says 'libmcap 1.4.0'",
         "bag.mcap": "an MCAP file, but not a coordlog episode: its header says 'ros2    rosbag2 libmcap 1.1.1'",
-        "newer.mcap": "schema version 7; this release reads version 1: use the coordlog that wrote it",
+        "newer.mcap": "schema version 7; this release reads versions 1 to 2: a release of coordlog that writes version 7",
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from coordlog.errors import SpecError, StorageError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.policies.scripted import scripted
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Finished, Recorder
@@ -40,7 +40,7 @@ def record(
 
 def logged(path: Path) -> Log:
     episode, attached = read_episode(path), read_attachments(path)
-    model = load_model(attached["model.xml.zst"], attached["model.mjb.zst"])
+    model = load_attached(attached)
     return Log(episode.header, model, np.frombuffer(attached["initial_state.f64"]), episode.action)
 
 

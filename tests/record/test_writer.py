@@ -19,7 +19,7 @@ from coordlog.record.reader import (
     read_summary,
 )
 from coordlog.record.writer import EpisodeWriter, write_episode
-from coordlog.spec import FINAL, STEP, Layout
+from coordlog.spec import Layout
 from tests.synthetic import (
     ATTACHMENTS,
     HUMANOID,
@@ -42,11 +42,11 @@ layouts = st.builds(
 
 
 def columns_of(episode, first, stop):
-    return {item.name: getattr(episode, item.name)[first:stop] for item in STEP.fields[1:]}
+    return {name: values[first:stop] for name, values in episode.columns.items()}
 
 
 def final_of(episode):
-    return {item.name: getattr(episode, item.name)[-1] for item in FINAL.fields[1:]}
+    return {name: episode.columns[name][-1] for name in episode.before}
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -231,9 +231,11 @@ def test_columns_of_another_shape_or_type_are_named(tmp_path, episode):
 
 
 def test_a_header_of_another_schema_version_is_refused(tmp_path):
-    with pytest.raises(SpecError, match="header: schema version 2; this release reads version 1"):
+    with pytest.raises(
+        SpecError, match="header: schema version 3; this release reads versions 1 to 2"
+    ):
         EpisodeWriter(
-            tmp_path / "a.mcap", make_header(TINY, schema_version=2), attachments={}, display=False
+            tmp_path / "a.mcap", make_header(TINY, schema_version=3), attachments={}, display=False
         )
     assert os.listdir(tmp_path) == []
 

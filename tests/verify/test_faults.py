@@ -15,7 +15,7 @@ from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_episode
 from coordlog.record.storage import PART
 from coordlog.record.writer import BLOCK, EpisodeWriter, write_episode
-from coordlog.spec import FINAL, STEP
+from coordlog.spec import FINAL, REACH, STEP
 from coordlog.verify.file import check
 from coordlog.verify.repair import recover
 from tests.synthetic import ATTACHMENTS, COLUMNS, assert_same, make_episode, outcome, rewards
@@ -31,7 +31,6 @@ import numpy as np
 from tests.synthetic import make_episode
 from coordlog.errors import StorageError
 from coordlog.record.writer import BLOCK, EpisodeWriter
-from coordlog.spec import FINAL, STEP
 
 folder, seed, pause = Path(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
 import time
@@ -41,12 +40,12 @@ for index in range(10_000):
     path = folder / f"{seed}-{index:04}.mcap"
     with EpisodeWriter(path, episode.header, attachments={"a.zst": b"model"}, display=index % 2 == 0) as writer:
         for first in range(0, 100, BLOCK):
-            columns = {item.name: getattr(episode, item.name)[first : first + BLOCK] for item in STEP.fields[1:]}
+            columns = {name: values[first : first + BLOCK] for name, values in episode.columns.items()}
             low, high = np.searchsorted(episode.contacts["step"], (first, first + BLOCK))
             writer.write_steps(first, columns, contacts=episode.contacts[low:high])
             print(f"{seed}-{index:04} {first + BLOCK}", flush=True)
             time.sleep(pause)
-        writer.finish({item.name: getattr(episode, item.name)[-1] for item in FINAL.fields[1:]})
+        writer.finish({name: episode.columns[name][-1] for name in episode.before})
         print(f"{seed}-{index:04} finished", flush=True)
 """
 
@@ -210,5 +209,5 @@ def test_a_folder_that_cannot_be_written_to(tmp_path, episode):
 
 
 def test_the_columns_of_an_episode_are_all_compared():
-    assert set(COLUMNS) == {item.name for item in STEP.fields[1:]} | {"contacts"}
+    assert set(COLUMNS) == {item.name for item in (*STEP.fields[1:], *REACH)} | {"contacts"}
     assert {item.name for item in FINAL.fields} <= set(COLUMNS) | {"step"}

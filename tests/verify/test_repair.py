@@ -11,7 +11,6 @@ from coordlog.errors import FormatError, StorageError
 from coordlog.record.reader import read_attachments, read_episode, read_header
 from coordlog.record.records import walk
 from coordlog.record.writer import EpisodeWriter, write_episode
-from coordlog.spec import FINAL, STEP
 from coordlog.verify.file import check
 from coordlog.verify.repair import ABORTED, recover, restored_whole, salvaged
 from tests.record.test_reader import bad_files, foreign_mcap
@@ -20,8 +19,8 @@ from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome, rew
 
 def assert_prefix(got, original):
     """Every kept step, and the state it led to, is the original's."""
-    for item in STEP.fields[1:]:
-        count = len(got) + (item in FINAL.fields)
+    for item in got.header.fields:
+        count = len(got) + (item.when == "before")
         assert (
             getattr(got, item.name).tobytes() == getattr(original, item.name)[:count].tobytes()
         ), item.name
@@ -39,9 +38,7 @@ def part_of(episode, folder, *, steps, display=False):
         for first in range(0, steps, 25):
             stop = min(first + 25, steps)
             low, high = np.searchsorted(episode.contacts["step"], (first, stop))
-            columns = {
-                item.name: getattr(episode, item.name)[first:stop] for item in STEP.fields[1:]
-            }
+            columns = {name: values[first:stop] for name, values in episode.columns.items()}
             writer.write_steps(first, columns, contacts=episode.contacts[low:high])
     return writer.part
 

@@ -1,0 +1,154 @@
+"""`sensor_msgs/msg/JointState` in CDR, many messages at once.
+
+Whatever the order of the names in a message, their padded lengths add up to the same: positions
+begin at one place in all messages of the same joints.
+
+Source: OMG CDR (XCDR1, little endian); common_interfaces of ROS 2.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from coordlog.episode import Array
+from coordlog.errors import FormatError
+from coordlog.exchange.frames import Frames
+from coordlog.exchange.motion import NS
+
+_LITTLE_ENDIAN = (0, 1)
+
+
+class JointStates(NamedTuple):
+    """All joint states of a topic, their columns in the order of the first message's names."""
+
+    names: tuple[str, ...]
+    header: Array
+    """(n,) int64: header stamps [ns]"""
+    position: Array
+    """(n, joints) float64"""
+    velocity: Array | None
+    """(n, joints) float64, if every message has it"""
+
+
+def decode(frames: Frames, where: str) -> JointStates:
+    """Decode every message.
+
+    Raises:
+        FormatError: if a message is not a JointState, or is of other joints than the first.
+    """
+    count = len(frames.times)
+    if not count:
+        raise FormatError(f"{where}: expected joint states, got not a single message")
+    header = np.zeros(count, np.int64)
+    names: tuple[str, ...] = ()
+    position = velocity = np.zeros((0, 0))
+    moving = True
+    for places, data in sorted(frames.groups, key=lambda group: int(group[0].min())):
+        if data.shape[1] < 16 or (data[:, :2] != _LITTLE_ENDIAN).any():
+            raise FormatError(
+                f"{where}: message {places[0]}: expected a JointState in little-endian CDR"
+            )
+        header[places] = _stamps(data)
+        for rows in _alike_counts(data):
+            part = data[rows]
+            at = places[rows]
+            own, order, end = _ordered(part, where, at)
+            if not names:
+                names = own
+                position, velocity = np.full((2, count, len(names)), np.nan)
+            columns = _columns(part, end, f"{where}: message {at[0]}")
+            if columns[0].shape[1] != len(own):
+                raise FormatError(
+                    f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
+                )
+            to = _places_among(own, names, order, f"{where}: message {at[0]}")
+            position[at[:, None], to] = columns[0]
+            moving = moving and columns[1].shape == columns[0].shape
+            if moving:
+                velocity[at[:, None], to] = columns[1]
+    return JointStates(names, header, position, velocity if moving else None)
+
+
+def _stamps(data: Array) -> Array:
+    fields = np.ascontiguousarray(data[:, 4:12]).view("<u4").astype(np.int64)
+    return fields[:, 0] * NS + fields[:, 1]
+
+
+def _alike_counts(data: Array) -> list[Array]:
+    """Rows whose frame name is as long: their joint names begin at one place."""
+    sizes = np.ascontiguousarray(data[:, 12:16]).view("<u4")[:, 0]
+    return [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+
+
+def _ordered(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array, int]:
+    """Names of the first row, each row's names as places among them (n, joints), and where the
+    names end.
+    """
+    where = f"{topic}: message {at[0]}"
+    start = _aligned(16 + int(np.ascontiguousarray(data[0, 12:16]).view("<u4")[0]))
+    names, end = _names(data[0].tobytes(), start, where)
+    if (data[:, start:end] == data[0, start:end]).all():
+        order = np.broadcast_to(np.arange(len(names)), (len(data), len(names)))
+        return names, order, end
+    region = np.ascontiguousarray(data[:, start:end])
+    rows, first, inverse = np.unique(
+        region.view(f"V{end - start}")[:, 0], return_index=True, return_inverse=True
+    )
+    place = {name: i for i, name in enumerate(names)}
+    table = np.zeros((len(rows), len(names)), np.int64)
+    for i, row in enumerate(rows):
+        where = f"{topic}: message {at[first[i]]}"
+        own, own_end = _names(bytes(start) + row.tobytes(), start, where)
+        if set(own) != set(names) or own_end != end:
+            _refuse(set(own) ^ set(names), where)
+        table[i] = [place[name] for name in own]
+    return names, table[inverse], end
+
+
+def _names(data: bytes, start: int, where: str) -> tuple[tuple[str, ...], int]:
+    count, found = int.from_bytes(data[start : start + 4], "little"), []
+    at = start + 4
+    for _ in range(count):
+        at = _aligned(at)
+        size = int.from_bytes(data[at : at + 4], "little")
+        if not size or at + 4 + size > len(data):
+            raise FormatError(f"{where}: a JointState that ends within its names")
+        found.append(data[at + 4 : at + 3 + size].decode("utf-8", "replace"))
+        at += 4 + size
+    return tuple(found), _aligned(at)
+
+
+def _columns(data: Array, at: int, where: str) -> list[Array]:
+    """Position, velocity and effort of messages laid out alike."""
+    columns = []
+    for _ in range(3):
+        counts = np.ascontiguousarray(data[:, at : at + 4]).view("<u4")
+        size = int(counts[0, 0]) if counts.size else -1
+        at += 4
+        if size > 0:
+            at += -(at - 4) % 8  # doubles are aligned to 8 bytes after the encapsulation
+        if size < 0 or (counts != size).any() or at + 8 * size > data.shape[1]:
+            raise FormatError(f"{where}: a JointState whose lengths do not add up")
+        cut = np.ascontiguousarray(data[:, at : at + 8 * size])
+        columns.append(cut.view("<f8") if size else np.zeros((len(data), 0)))
+        at += 8 * size
+    return columns
+
+
+def _places_among(own: tuple[str, ...], names: tuple[str, ...], order: Array, where: str) -> Array:
+    """Each row's joints as places among those of the first message of all."""
+    if set(own) != set(names) or len(own) != len(names):
+        _refuse(set(own) ^ set(names), where)
+    return np.array([names.index(name) for name in own], np.int64)[order]
+
+
+def _refuse(others: set[str], where: str) -> None:
+    raise FormatError(
+        f"{where}: expected the joints of the first message, got others: {', '.join(sorted(others))}; several publishers share the topic"
+    )
+
+
+def _aligned(at: int) -> int:
+    return at + -at % 4

@@ -1,0 +1,155 @@
+"""One stored episode as one thing: read once, then whatever is asked of it, each part once."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from coordlog.episode import INITIAL_STATE, MODEL_XML, Array, Episode, Header, Result
+from coordlog.errors import FormatError, TruncatedError
+from coordlog.mjcf import load_model
+from coordlog.record.contents import Contents, contents
+from coordlog.record.decoding import decode, require_header
+from coordlog.record.metadata import RESULT, decode_header, decode_result, vouched
+from coordlog.record.opening import File, load, naming, no_marker, require_coordlog, rewritten_by
+from coordlog.record.reader import attachments, metadata
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class Recording:
+    """A stored episode: its file is read when something is first asked of it, and only then.
+
+    Everything is kept once it was asked for, so a recording can be handed from function to function
+    and nobody opens the file again.
+
+    Example:
+        >>> recording = Recording("logs/a.mcap")                            # doctest: +SKIP
+        >>> recording.header.episode["scene"], recording.result.clean       # doctest: +SKIP
+        ('table', True)
+        >>> recording.episode.qpos.shape, recording.model.nq                # doctest: +SKIP
+        ((111, 34), 34)
+    """
+
+    def __init__(self, source: File, data: bytes | None = None) -> None:
+        """Name an episode; nothing is read yet.
+
+        Args:
+            source: Its file; or with `data` what to call it.
+            data: All bytes of the file, where they are at hand (from a pack, a bucket).
+        """
+        self.source = os.fspath(source)
+        self._given = data
+
+    def __repr__(self) -> str:
+        return f"Recording({self.source!r})"
+
+    @cached_property
+    def data(self) -> bytes:
+        """All bytes of the file.
+
+        Raises:
+            FormatError: if it is no episode.
+            StorageError: if it cannot be read.
+        """
+        if self._given is None:
+            return load(self.source)
+        with naming(self.source):
+            require_coordlog(self._given)
+        return self._given
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 of the file: the name by which lineages call it."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    @cached_property
+    def rewritten(self) -> str:
+        """The program that wrote the file's bytes anew; "" if coordlog did."""
+        return rewritten_by(self.data)
+
+    @cached_property
+    def header(self) -> Header:
+        """Who made it how; vouched for.
+
+        Raises:
+            FormatError: if a metadata record is missing, not as declared, or not what was written.
+        """
+        with naming(self.source):
+            return decode_header(self._metadata)
+
+    @cached_property
+    def result(self) -> Result:
+        """How it ended; vouched for.
+
+        Raises:
+            TruncatedError: if the episode is not finished.
+            FormatError: as `header`.
+        """
+        with naming(self.source):
+            return decode_result(self._metadata[RESULT])
+
+    @cached_property
+    def episode(self) -> Episode:
+        """Its columns.
+
+        Raises:
+            FormatError: if a message is missing or damaged.
+        """
+        with naming(self.source):
+            return decode(self._contents)
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """Its attachments by name, CRCs and digests verified.
+
+        Raises:
+            FormatError: if one is damaged or missing.
+        """
+        with naming(self.source):
+            return attachments(self.data)
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The model it was simulated on, compiled from the attached text.
+
+        Raises:
+            FormatError: if there is none, or MuJoCo refuses it.
+        """
+        with naming(self.source):
+            return load_model(self.attachments.get(MODEL_XML), None)
+
+    @cached_property
+    def initial_state(self) -> Array:
+        """The full integration state it started in, (n_state,) float64.
+
+        Raises:
+            FormatError: if it is missing, or no whole number of values.
+        """
+        with naming(self.source):
+            data = self.attachments.get(INITIAL_STATE, b"")
+            if not data or len(data) % 8:
+                raise FormatError(
+                    f"attachment '{INITIAL_STATE}': expected float64 values, got {len(data)} bytes"
+                )
+        state = np.frombuffer(data, np.float64).copy()
+        state.setflags(write=False)
+        return state
+
+    @cached_property
+    def _contents(self) -> Contents:
+        return contents(self.data)
+
+    @cached_property
+    def _metadata(self) -> dict[str, dict[str, str]]:
+        found = metadata(self.data)
+        require_header(found)
+        if RESULT not in found:
+            raise TruncatedError(no_marker(len(self.data)))
+        vouched(found)
+        return {name: dict(values) for name, values in found.items()}

@@ -1,0 +1,93 @@
+"""Tests that a command that looked at nothing says so, and that one bad file stops none."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.spoken import said, sound
+
+GOOD = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
+COMMANDS = {
+    "check": ("--jobs", "1"),
+    "info": (),
+    "smooth": ("--jobs", "1", "--out", "OUT"),
+}
+
+
+def words(name: str, folder: Path, out: Path) -> list[object]:
+    return [name, folder, *(out if word == "OUT" else word for word in COMMANDS[name])]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("what", ["empty", "part", "foreign", "bag", "dangling"])
+def test_a_folder_without_episodes_is_no_proof(name: str, what: str, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    if what == "part":
+        (folder / "a.mcap.part").write_bytes(GOOD.read_bytes()[:9000])
+    if what == "foreign":
+        (folder / "a.mcap").write_bytes(b"#ROSBAG V2.0\n")
+    if what == "bag":
+        (folder / "a.db3").write_bytes(b"SQLite format 3\0")
+    if what == "dangling":
+        (folder / "a.mcap").symlink_to("/nowhere/a.mcap")
+    done = said(*words(name, folder, tmp_path / "out"))
+    if name == "smooth" and what == "foreign":  # each input is named in the report
+        assert done.exit_code == 3
+        assert "a ROS 1 bag" in done.stderr
+        return
+    assert (done.exit_code, done.unforeseen) == (2, None)
+    assert "sound" not in done.stdout
+    assert f"no episodes (.mcap) under {folder}" in done.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_foreign_file_that_is_named_ends_every_command_alike(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"PAR1" + bytes(50))
+    done = said(*words(name, path, tmp_path / "out"))
+    assert (done.exit_code, done.unforeseen) == (2, None)
+    assert "a Parquet file" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["dangling", "pipe", "junk"])
+def test_one_bad_file_is_named_and_stops_no_command(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    shutil.copy(GOOD, logs)
+    bad = logs / "zz.mcap"
+    if kind == "dangling":
+        bad.symlink_to("/nowhere/gone.mcap")
+    elif kind == "pipe":
+        os.mkfifo(bad)
+    else:
+        bad.write_bytes(b"junk")
+    for args in (
+        ("info", logs),
+        ("check", "--level", "file", "--jobs", "1", logs),
+        ("info", logs / GOOD.name, bad),
+        ("check", "--level", "file", "--jobs", "1", bad, logs / GOOD.name),
+    ):
+        done = sound(*args, code=3)
+        assert f"skipped: {bad}: " in done.stderr
+    sound("view", logs / GOOD.name, "--no-open")
+    train = ("train", "--from", logs, "--updates", "1", "--eval-every", "0", "--jobs", "1", "--out")
+    done = said(*train, tmp_path / "run1")
+    assert (done.exit_code, done.unforeseen) == (2, None)
+    assert "--skip-broken learns from the others" in done.stderr
+    done = sound(*train, tmp_path / "run2", "--skip-broken", code=3)
+    assert f"skipped: {bad}: " in done.stderr
+
+
+def test_named_twice_is_checked_once(tmp_path: Path) -> None:
+    (tmp_path / "link.mcap").symlink_to(GOOD)
+    done = sound("check", "--level", "file", "--jobs", "1", GOOD, GOOD, tmp_path)
+    assert done.stdout.startswith("1 episodes, ")

@@ -1,0 +1,106 @@
+"""Tests for what commands say: names as they are, in any terminal, to whoever still listens."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from coordlog.commands import terminal
+from tests.spoken import sound
+
+GOOD = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
+ODD = [
+    "[old] one.mcap",
+    "[bold red]a.mcap",
+    "a\x1b[31mb\x07.mcap",
+    "e\u202ee.mcap",
+    ":x:.mcap",
+]
+
+
+def run(*args: str | Path, **env: str) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
+    return subprocess.run(
+        command, capture_output=True, timeout=120, check=False, env={**os.environ, **env}
+    )
+
+
+def test_names_are_printed_as_they_are_and_never_obeyed(tmp_path: Path) -> None:
+    for name in ODD:
+        shutil.copy(GOOD, tmp_path / name)
+        (tmp_path / f"text {name}").write_text("a text")
+    done = sound("info", tmp_path, code=3)
+    for text in (done.stdout, done.stderr):
+        for shown in ("[old] one.mcap", "[bold red]a.mcap", r"a\x1b[31mb\x07.mcap"):
+            assert shown in text
+        assert r"e\u202ee.mcap" in text
+        assert "\x1b" not in text
+    done = sound("check", "--level", "file", "--jobs", "1", tmp_path, code=3)
+    assert r"text a\x1b[31mb\x07.mcap" in done.stderr
+    assert {
+        Path(row["path"]).name
+        for row in json.loads(sound("info", GOOD, "--json").stdout)["episodes"]
+    } == {GOOD.name}
+
+
+def test_every_way_of_saying_something_shows_markup_and_controls(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    odd = "[red]x[/red] [/y] \x1b]0;title\x07 \ud800 \u202e\r\n"
+    terminal.say(odd)
+    terminal.table(["name", odd], [[odd, 1]], title=odd)
+    terminal.facts([(odd, odd)], title=odd)
+    terminal.note(odd)
+    terminal.complain(odd)
+    said = capsys.readouterr()
+    for text in (said.out, said.err):
+        assert r"[red]x[/red] [/y] \x1b]0;title\x07 \ud800 \u202e\r\n" in text
+        assert "\x1b" not in text
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_what_an_encoding_lacks_is_written_plainly(encoding: str, tmp_path: Path) -> None:
+    path = Path(shutil.copy(GOOD, tmp_path / "ε 機 µ.mcap"))
+    done = run("info", path, PYTHONIOENCODING=encoding)
+    assert done.returncode == 0, done.stderr
+    done = run("info", path, "--json", PYTHONIOENCODING=encoding, LC_ALL="C")
+    assert json.loads(done.stdout.decode(encoding))["episodes"][0]["path"] == str(path)
+
+
+def test_the_error_handler_writes_our_letters_in_ascii() -> None:
+    terminal.prepare_streams()
+    assert "-ln(e₁ + e₂) 3 µs ×ε".encode("ascii", "coordlog.plain") == b"-ln(e1 + e2) 3 us x\\u03b5"
+
+
+@pytest.mark.parametrize("closed", [">&-", "> /dev/full", "2>&1 | true"])
+def test_whoever_stops_listening_gets_no_traceback(closed: str, tmp_path: Path) -> None:
+    command = f"{sys.executable} -m coordlog.cli info {GOOD} {GOOD.parent}"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command} {closed}"],
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    assert b"Traceback" not in done.stderr
+    assert done.returncode == (2 if "full" in closed else 0), done.stderr
+
+
+def test_twenty_columns_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal.out, "_width", 20)
+    done = sound("info", GOOD)
+    assert max(map(len, done.stdout.splitlines()[:3])) <= 20
+
+
+def test_json_has_no_numbers_that_json_lacks(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal.print_json({"a": float("nan"), "b": [float("inf"), 1.5], "c": (Path("x").name,)})
+    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {
+        "a": None,
+        "b": [None, 1.5],
+        "c": ["x"],
+    }

@@ -1,0 +1,71 @@
+"""A few harms of every kind, drawn from a seed: no command ends in a traceback, and `check` lets no
+changed value pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments.trust import (
+    BEGIN,
+    END,
+    EVERY,
+    PAGE,
+    ROOT,
+    Count,
+    cut,
+    flipped,
+    harm_bytes,
+    harm_configurations,
+    harm_metadata,
+    harm_policies,
+    harm_runs,
+    smeared,
+)
+
+FILE = next((ROOT / "tests" / "data" / "v1" / "planar").glob("*.mcap"))
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def assert_foreseen(found: Count) -> None:
+    assert found.unforeseen == []
+    assert found.noticed > 0
+
+
+@pytest.mark.parametrize("how", [flipped, cut, smeared])
+def test_no_changed_value_passes_check(how, tmp_path: Path) -> None:
+    found = harm_bytes(FILE, tmp_path, how, count=40, seed=11, check=True)
+    assert_foreseen(found)
+    assert found.silent == 0
+
+
+@pytest.mark.parametrize("how", [flipped, cut, smeared])
+def test_harmed_bytes_are_read_or_refused(how, tmp_path: Path) -> None:
+    assert_foreseen(harm_bytes(FILE, tmp_path, how, count=60, seed=12, check=False))
+
+
+def test_odd_metadata_ends_no_command_in_a_traceback(tmp_path: Path) -> None:
+    found = harm_metadata(FILE, tmp_path, count=16, seed=13, commands=EVERY[:5])
+    assert found.unforeseen == []
+
+
+def test_odd_policies_configurations_and_runs_end_in_a_sentence(tmp_path: Path) -> None:
+    policy = ROOT / "coordlog" / "policies" / "free.safetensors"
+    assert_foreseen(harm_policies(policy, tmp_path, count=10, seed=14))
+    assert_foreseen(harm_configurations(tmp_path))
+    assert_foreseen(harm_runs(tmp_path, count=3, seed=15))
+
+
+def test_the_page_has_the_figures() -> None:
+    table = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
+    rows = [line.split("|")[1:-1] for line in table.strip().splitlines()[2:]]
+    assert len(rows) >= 10
+    for what, tried, _, silent, tracebacks in rows:
+        assert int(tried) > 0
+        assert int(tracebacks) == 0, what
+        assert int(silent) == 0 or "`open`" in what
