@@ -79,6 +79,8 @@ class Robot:
     """Pairs of bodies that never collide, beside those the model excludes itself."""
 
     def __post_init__(self) -> None:
+        if not self.arms and not self.poses:
+            return  # of an episode of another program's environment: nothing but looked at
         if not self.arms:
             raise ConfigError(f"robot '{self.name}': expected at least one arm, got none")
         joints = self.action_joints
@@ -147,22 +149,26 @@ class Robot:
         Raises:
             FormatError: if it says too little: logs of other programs need not describe a robot.
         """
+        arms = tuple(
+            Arm(arm["name"], arm["palm"], tuple(arm["joints"])) for arm in data.get("arms", ())
+        )
+        if not arms:
+            return cls(data["name"], mjcf, ())
         missing = [key for key in _SPEC if key not in data]
         if missing:
             raise FormatError(
                 f"robot: expected its {', '.join(_SPEC)}, got none of {', '.join(missing)}"
             )
-        arms = tuple(Arm(arm["name"], arm["palm"], tuple(arm["joints"])) for arm in data["arms"])
         centre = tuple(data["centre"])
         shared, soles = tuple(data["shared"]), tuple(data["soles"])
         return cls(
             data["name"],
             mjcf,
             arms,
-            shared,
-            soles,
+            tuple(data["shared"]),
+            tuple(data["soles"]),
             data["torso"],
             data["poses"],
-            centre,
+            tuple(data["centre"]),
             data["reach"],
         )
