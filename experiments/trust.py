@@ -309,7 +309,8 @@ def harm_configurations(folder: Path) -> Count:
 
 
 RUN = {"scene": "free", "mode": "live", "seed": 0, "settings": {"loop": {"seed": 0}}, "env": {}}
-ROW = {"kind": "evaluation", "update": 5, "step": 100, "episodes": 3, "score": 1.0, "success": 0.5}
+ROW = {"kind": "evaluation", "update": 5, "step": 100, "episodes": 3, "episodes_total": 9}
+ROW |= {"score": 1.0, "success": 0.5, "clean": 0.5}
 
 
 def harm_runs(folder: Path, *, count: int, seed: int) -> Count:

@@ -157,10 +157,8 @@ class Robot:
         missing = [key for key in _SPEC if key not in data]
         if missing:
             raise FormatError(
-                f"robot: expected its {', '.join(_SPEC)}, got none of {', '.join(missing)}"
+                f"robot: expected its {', '.join(_SPEC)}, without {', '.join(missing)}"
             )
-        centre = tuple(data["centre"])
-        shared, soles = tuple(data["shared"]), tuple(data["soles"])
         return cls(
             data["name"],
             mjcf,
