@@ -312,8 +312,7 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
     robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
     try:
         spec = _read(robot)
-        spec.compile()
-        spec.copy_back(model)
+        _copy_back(spec, model)
         visual = _drop_pictures(spec)
         if not any(not geom.parent.explicitinertial for geom in visual):
             _delete(spec, visual)
@@ -323,3 +322,15 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
         return Source(printed(spec), files)
     except (ConfigError, SimulationError, ValueError, RuntimeError):
         return None
+
+
+def _copy_back(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Take over what has been changed in a model since it was compiled."""
+    spec.compile()
+    try:
+        spec.copy_back(model)
+    except ValueError:  # MuJoCo works poses of welds out itself, unless they are stated
+        for i, equality in enumerate(spec.equalities):
+            equality.data = model.eq_data[i]
+        spec.compile()
+        spec.copy_back(model)
