@@ -327,10 +327,5 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
 def _copy_back(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Take over what has been changed in a model since it was compiled."""
     spec.compile()
-    try:
-        spec.copy_back(model)
-    except ValueError:  # MuJoCo works poses of welds out itself, unless they are stated
-        for i, equality in enumerate(spec.equalities):
-            equality.data = model.eq_data[i]
-        spec.compile()
-        spec.copy_back(model)
+    spec.copy_back(model)
+    spec.stat.meaninertia = np.nan  # worked out again by whoever compiles it
