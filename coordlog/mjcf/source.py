@@ -258,13 +258,18 @@ def _keep_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             continue
         if body.explicitinertial and not every:
             continue
-        body.explicitinertial = True
-        body.mass = model.body_mass[body.id]
-        body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
-        body.inertia = model.body_inertia[body.id]
-        body.fullinertia = [np.nan] * 6
+        _state_inertia(body, model)
     if every:
         spec.compiler.inertiafromgeom, spec.compiler.settotalmass = FROM_GEOMS_IF_NONE, -1
+
+
+def _state_inertia(body: Any, model: mujoco.MjModel) -> None:
+    """Let a body say the inertia it has in a compiled model."""
+    body.explicitinertial = True
+    body.mass = model.body_mass[body.id]
+    body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+    body.inertia = model.body_inertia[body.id]
+    body.fullinertia = [np.nan] * 6
 
 
 def _hulls(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, bytes]:
@@ -329,3 +334,7 @@ def _copy_back(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     spec.compile()
     spec.copy_back(model)
     spec.stat.meaninertia = np.nan  # worked out again by whoever compiles it
+    fresh = spec.compile()
+    for body in spec.bodies[1:]:
+        if model.body_mass[body.id] != fresh.body_mass[body.id]:  # it followed from its geoms
+            _state_inertia(body, model)
