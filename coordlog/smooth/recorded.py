@@ -118,13 +118,13 @@ def _episode(
         length=len(columns["action"]),
         returns=tuple(columns["reward"].sum(axis=0).tolist()),
     )
-    return replace(
-        raw,
-        header=replace(header, policy=policy),
-        result=ended,  # the writer computes it anew
+    return Episode(
+        replace(header, policy=policy),
+        ended,  # the writer computes it anew
         contacts=execution.run.contacts,
         path=result.path(),
-        **columns,
+        inputs=raw.inputs,
+        columns=columns,
     )
 
 
