@@ -35,7 +35,7 @@ FLOORS = (
 )
 """From the ground up: a room may import rooms before it; those on one floor none of one another."""
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
-PHYSICS = {"mjcf", "kinematics", "sim", "policies", "exchange", "verify"}
+PHYSICS = {"mjcf", "kinematics", "sim", "policies", "record", "exchange", "verify"}
 OWNERS = {
     "torch": {"train"},
     "rerun": {"view"},
