@@ -103,7 +103,11 @@ class SceneChecker:
         kinds = model.jnt_type[self._joints]
         self.units: tuple[str, ...] = tuple("m" if kind == SLIDE else "rad" for kind in kinds)
         """Unit of each action joint."""
-        turns = (kinds == HINGE) & (model.jnt_limited[self._joints] == 0)
+        free = model.jnt_limited[self._joints] == 0
+        self.limits: Array = model.jnt_range[self._joints].copy()
+        """Their ranges, infinite where unlimited, (n_u, 2)."""
+        self.limits[free] = -np.inf, np.inf
+        turns = (kinds == HINGE) & free
         self.continuous: tuple[int, ...] = tuple(np.flatnonzero(turns).tolist())
         """Which of the action joints turn without end."""
         self._slides: Array = np.flatnonzero(kinds == SLIDE)
