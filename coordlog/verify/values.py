@@ -62,7 +62,7 @@ def _times(episode: Episode) -> Iterator[Problem]:
 def _values(episode: Episode) -> Iterator[Problem]:
     """Everything finite; of diverged physics all but the outcome of the last action.
 
-    Actions within [-1, 1].
+    Simulated actions within [-1, 1].
     """
     diverged = episode.result.aborted.startswith(DIVERGED)
     for name, values in episode.columns.items():
@@ -71,7 +71,9 @@ def _values(episode: Episode) -> Iterator[Problem]:
         if diverged and name != "action":
             values = values[:-1]
         yield from _broken(name, "finite values", values, ~np.isfinite(values))
-    yield from _broken("action", "values in [-1, 1]", episode.action, np.abs(episode.action) > 1)
+    if episode.header.kind == KINDS[0]:  # an observed action is a position, in rad or m
+        far = np.abs(episode.action) > 1
+        yield from _broken("action", "values in [-1, 1]", episode.action, far)
 
 
 def _flags(episode: Episode) -> Iterator[Problem]:

@@ -21,9 +21,9 @@ from coordlog.record.reader import read_episode
 from tests.exchange.bags import NAMES, START, recorded, write_bag
 
 ARM = """<mujoco model="arm"><worldbody><geom type="plane" size="2 2 .1"/>
-<body name="upper" pos="0 0 .8"><joint name="shoulder" range="-170 170"/>
+<body name="upper" pos="0 0 .4"><joint name="shoulder" axis="0 1 0" range="-170 170"/>
 <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
-<body name="lower" pos=".3 0 0"><joint name="elbow" range="-150 150"/>
+<body name="lower" pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="-150 150"/>
 <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
 <body name="hand" pos=".3 0 0"><joint name="wrist" range="-150 150"/>
 <geom type="sphere" size=".05"/></body></body></body></worldbody></mujoco>"""
