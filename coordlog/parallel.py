@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import secrets
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -152,6 +154,8 @@ def _answer(ray: Any, reference: Any) -> Any:
 @contextmanager
 def _cluster(address: str) -> Iterator[Any]:
     """A connection to a cluster, or one of our own on this machine."""
+    if address == RAY and not os.environ.get("RAY_ADDRESS"):
+        _lock_up()
     import ray
     import ray.exceptions
 
@@ -176,6 +180,13 @@ def _cluster(address: str) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _lock_up() -> None:
+    """Have a cluster of our own ask for a secret: Ray listens on every address of the machine."""
+    if "ray" not in sys.modules and "RAY_AUTH_MODE" not in os.environ:
+        os.environ["RAY_AUTH_MODE"] = "token"
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
 
 
 _ALONE: dict[str, Any] = {

@@ -15,10 +15,11 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
-from coordlog.contracts import Outcome, Problem
+from coordlog.contracts import Outcome, Problem, Task
 from coordlog.episode import CONTACT, Array, Episode, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
+from coordlog.sim import foreign
 from coordlog.sim.physics import STATE, Physics
 from coordlog.sim.rollout import rollout
 from coordlog.sim.simulation import Simulation
@@ -26,6 +27,7 @@ from coordlog.sim.task import BoundTask
 from coordlog.spec import CORE, before, names
 from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.unknown import UnknownTask
 
 GOALS = "goals"
 """A task's field of this name, "3*k" wide and before the action, says where goals that move are."""
@@ -41,11 +43,18 @@ class Log(NamedTuple):
     action: Array
     """(T, n_u) float32."""
     given: Mapping[str, Array] = {}
-    """The task's logged columns that hold before an action, (T + 1, …)."""
+    """The task's logged columns that hold before an action, (T + 1, …); of an episode of another
+    program's environment all columns."""
+    inputs: Mapping[str, Array] = {}
+    """What else the physics was given: columns of `spec.INPUTS`."""
 
     @classmethod
     def of(cls, episode: Episode, model: mujoco.MjModel, start: Array) -> Log:
         """The log of an episode: its header, actions, and what its task was given."""
+        if episode.header.task == foreign.TASK:
+            return cls(
+                episode.header, model, start, episode.action, episode.columns, episode.inputs
+            )
         fields = before(episode.header.fields)
         given = {item.name: getattr(episode, item.name) for item in fields if item.owner != CORE}
         return cls(episode.header, model, start, episode.action, given)
@@ -96,6 +105,8 @@ def resting_of(header: Header) -> list[tuple[int, int]]:
 
 def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     """Replay logs of one environment, one simulation each."""
+    if logs[0].header.task == foreign.TASK:
+        return [_retraced(log) for log in logs]
     env = Traced(LogEnv(logs, threads=threads))
     lengths = np.array([len(log.action) for log in logs])
     ids = np.arange(len(logs))
@@ -107,20 +118,37 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     actor = Logged([log.action for log in logs])
     for _ in rollout(env, actor, (), seed=0, running=ids[lengths > 0], over=over):
         pass
-    wanted = set(names(logs[0].header.fields)) - {"action"}
+    rules, wanted = env.rules, set(names(logs[0].header.fields)) - {"action"}
+    if isinstance(rules, UnknownTask):
+        wanted -= rules.untold
     return [env.trace(int(i), wanted) for i in ids]
 
 
+def _retraced(log: Log) -> Trace:
+    """An episode of another program's environment again: its motion, not its task."""
+    ctrl = log.given.get("ctrl", np.zeros((len(log.action), 0)))
+    moved = foreign.retrace(log.model, log.start, ctrl, log.given[foreign.SUBSTEPS], log.inputs)
+    return Trace(moved, np.zeros(0, CONTACT))
+
+
 def task_of(log: Log) -> BoundTask:
-    """The task a log was recorded in, rebuilt from its header and model.
+    """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
+
+    Where the task is not installed, a stand-in that judges nothing.
 
     Raises:
-        ConfigError: if the task is not installed, or the model lacks what the header names.
+        ConfigError: if the model lacks what the header names.
     """
-    env = log.header.env
-    config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-    rules = registry.task_of(env)
-    return BoundTask(rules, Robot.from_json(env["robot"]), log.model, config, reward)
+    global _last
+    if _last is None or _last[0] is not log.header or _last[1] is not log.model:
+        env = log.header.env
+        config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
+        robot, rules = Robot.from_json(env["robot"]), registry.task_or_unknown(env)
+        _last = log.header, log.model, BoundTask(rules, robot, log.model, config, reward)
+    return _last[2]
+
+
+_last: tuple[Header, mujoco.MjModel, BoundTask] | None = None
 
 
 class LogEnv:
@@ -139,7 +167,7 @@ class LogEnv:
             threads: Threads to simulate on.
 
         Raises:
-            ConfigError: if the task is not installed, or a model lacks what its header names.
+            ConfigError: if a model lacks what its header names.
         """
         self._logs, self.task = logs, task_of(logs[0])
         models, resting = [log.model for log in logs], resting_of(logs[0].header)
@@ -236,6 +264,11 @@ class Traced:
         """Steps of each episode so far, (N,)."""
         self._rows: dict[str, Array] = {}
         self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
+
+    @property
+    def rules(self) -> Task:
+        """The environment's task."""
+        return self._env.task.rules
 
     @property
     def n(self) -> int:

@@ -14,8 +14,8 @@ ARGUMENTS = {
     "bench_loading": ["--large", "1000", "--steps", "0"],
 }
 """Shortened where the default takes long."""
-BY_HAND = ("bench_learning",)
-"""Takes hours."""
+BY_HAND = ("bench_cluster", "bench_learning")
+"""Take hours, or a cluster."""
 
 
 def main() -> None:
