@@ -37,7 +37,6 @@ class RobotModel(NamedTuple):
         """Names of the geoms by id; numbered where they have none."""
         return [self.model.geom(i).name or f"geom_{i}" for i in range(self.model.ngeom)]
 
-
     def spec(self, joints: Sequence[str]) -> dict[str, Any]:
         """The robot as a header names it, its arm made of the joints that were observed.
 
