@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, cast
 import mujoco
 import numpy as np
 
-from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.kinematics.clearance import SceneChecker
@@ -27,6 +26,7 @@ from coordlog.sim.replay import Log
 from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
+from coordlog.smooth.recorded import FASTER, fastest_of
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness
@@ -43,7 +43,7 @@ limits: a path that starts softly and goes around something has to be faster som
 room for that turns back into the rollout, jerks and all."""
 PEAK = 1.92
 """Greatest speed of the smoothest path there is, over its mean: 3/2 of a cubic at rest at both
-ends, times 4/π of ends that are eased over half of it each (`coordlog.smooth.ease`). A motion that
+ends, times 4/π of ends that are eased over half of it each (`coordlog.smooth.blending`). A motion that
 is to be no faster than its joints takes at least as long."""
 
 
@@ -184,7 +184,7 @@ def _safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
         task.limits[:, 0],
         task.limits[:, 1],
         speed=FASTER * np.maximum(task.speeds, fastest),
-        pace=task.speeds,
+        nominal_speed=task.speeds,
     )
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(

@@ -21,7 +21,7 @@ def root(inside: str) -> ET.Element:
 
 @pytest.mark.parametrize("name", sorted(SCENES))
 def test_our_own_models_are_modest_and_plain(name: str) -> None:
-    model = ET.fromstring(compose(SCENES[name], EnvConfig()))
+    model = ET.fromstring(compose(SCENES[name], EnvConfig()).text)
     require_modest(model)
     assert is_plain(model)
 

@@ -25,7 +25,7 @@ from typing import NamedTuple, Protocol
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError, unknown
 from coordlog.exchange import FORMATS, WITH_IMAGES
-from coordlog.exchange.source import Entry, Loaded, task_text
+from coordlog.exchange.source import Entry, Loaded, fps_of, task_text
 from coordlog.parallel import mapped
 from coordlog.record.storage import translated
 from coordlog.version import __version__
@@ -164,11 +164,14 @@ def format_of(name: str) -> Format:
 def _plan(chosen: Sequence[Entry], options: Options) -> Json:
     """What decides about every byte of the set: episodes by content, options, version."""
     shapes = {json.dumps(entry.header.env["layout"], sort_keys=True) for entry in chosen}
-    periods = {float(entry.header.episode["control_period"]) for entry in chosen}
-    if len(shapes) > 1 or len({entry.header.arms for entry in chosen}) > 1 or len(periods) > 1:
+    if len(shapes) > 1 or len({entry.header.arms for entry in chosen}) > 1:
         raise ConfigError(
-            "episodes of several robots, tasks or control periods: expected one, got layouts "
-            f"{', '.join(sorted(shapes))} and periods {sorted(periods)} s; choose one with --where"
+            f"episodes of several robots or tasks: expected one, got layouts {', '.join(sorted(shapes))}; choose one with --where"
+        )
+    rates = {fps_of(entry.header) for entry in chosen} if options.to.startswith("lerobot") else ()
+    if len(rates) > 1:
+        raise ConfigError(
+            f"episodes of several rates: expected one, got {', '.join(f'{rate:g}' for rate in sorted(rates))} Hz; choose one with --where control_period = …, or import them with --resample"
         )
     empty = [entry.path for entry in chosen if not entry.result.length]
     if empty:

@@ -25,7 +25,7 @@ from coordlog.episode import Array, Json
 from coordlog.exchange import cameras, statistics, video
 from coordlog.exchange.blocks import Block, Options
 from coordlog.exchange.columns import Column, columns
-from coordlog.exchange.source import Loaded, task_text
+from coordlog.exchange.source import Loaded, fps_of, task_text
 from coordlog.record.arrow import arrow_array
 
 VERSION = "v3.0"
@@ -65,7 +65,7 @@ def indexes(loaded: Loaded, *, episode: int, frame: int, task: int) -> dict[str,
     """The columns that every LeRobot set has."""
     length = len(loaded.episode)
     at = np.arange(length)
-    fps = fps_of(loaded.episode.header.episode)
+    fps = fps_of(loaded.episode.header)
     return {
         "timestamp": (at / fps).astype(np.float32),
         "frame_index": at,
@@ -73,12 +73,6 @@ def indexes(loaded: Loaded, *, episode: int, frame: int, task: int) -> dict[str,
         "index": frame + at,
         "task_index": np.full(length, task),
     }
-
-
-def fps_of(episode: Json) -> int | float:
-    """Control steps a second; whole where they are but for rounding."""
-    fps = 1.0 / float(episode["control_period"])
-    return round(fps) if abs(fps - round(fps)) < 1e-6 * fps else fps
 
 
 def declared(loaded: Loaded, options: Options) -> dict[str, Json]:
@@ -91,7 +85,7 @@ def declared(loaded: Loaded, options: Options) -> dict[str, Json]:
         if name == "observation.state" and names is None:
             names = list(labels["observation.qpos"])
         found[name] = {"dtype": str(values.dtype), "shape": width, "names": names}
-    fps = fps_of(loaded.episode.header.episode)
+    fps = fps_of(loaded.episode.header)
     for camera in options.cameras:
         found[camera_key(camera)] = video.feature(options.width, options.height, fps)
     for name in INDEXES:
@@ -139,7 +133,7 @@ def write_block(block: Block) -> Json:
                 writer = pq.ParquetWriter(data, table.schema, compression="snappy")
                 journal["features"] = declared(loaded, block.options)
                 journal["robot"] = str(header.episode.get("robot", ""))
-                journal["fps"] = fps_of(header.episode)
+                journal["fps"] = fps_of(header)
             writer.write_table(table, row_group_size=max(len(table), 1))
             stats = statistics.of_columns(own | index)
             shown = videos.add(loaded)

@@ -23,13 +23,12 @@ from coordlog.exchange.lerobot import (
     declared,
     features_of,
     final_state,
-    fps_of,
     indexes,
     merged_tasks,
     table_of,
     write_json,
 )
-from coordlog.exchange.source import Loaded, task_text
+from coordlog.exchange.source import Loaded, fps_of, task_text
 
 VERSION = "v2.1"
 EPISODES_PER_CHUNK = 1000
@@ -65,7 +64,7 @@ def write_block(block: Block) -> Json:
         if number == block.first_episode:
             journal["features"] = declared(loaded, block.options)
             journal["robot"] = str(header.episode.get("robot", ""))
-            journal["fps"] = fps_of(header.episode)
+            journal["fps"] = fps_of(header)
         frame += len(loaded.episode)
     journal["frames"] = frame - block.first_frame
     journal["episodes"] = len(block.paths)

@@ -122,16 +122,13 @@ def timing(stamps: Array) -> Timing:
     """Judge a clock by the times between its stamps [ns]."""
     steps = np.diff(stamps)
     forward = steps[steps > 0]
-    if not len(forward):
-        repeated = tuple(range(1, len(stamps)))
-        return Timing(len(stamps), 0.0, 0.0, (), repeated, ())
-    period = float(np.median(forward))
+    period = float(np.median(forward)) if len(forward) else np.inf
     regular = forward[forward <= GAP * period]
     gaps = tuple((int(i), float(steps[i]) / NS) for i in np.flatnonzero(steps > GAP * period))
     return Timing(
         len(stamps),
-        period / NS,
-        float(regular.std()) / NS,
+        period / NS if len(forward) else 0.0,
+        float(regular.std()) / NS if len(forward) else 0.0,
         gaps,
         tuple((np.flatnonzero(steps == 0) + 1).tolist()),
         tuple((np.flatnonzero(steps < 0) + 1).tolist()),

@@ -83,7 +83,7 @@ def observe(
     if motion.action is not None:
         said["last_action"] = motion.action[-1].tolist()
     header = _header(motion, robot, placed, digest=digest, index=index, parameters=said)
-    tally = Tally(0)
+    tally = Tally(header)
     tally.add_states({"qpos": qpos, "qvel": qvel})
     result = replace(tally.result(""), length=length, truncated=length > 0)
     return Episode(header, result, contacts=np.zeros(0, CONTACT), columns=columns)

@@ -11,7 +11,10 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
-from coordlog.mjcf import compose, load_attached, model_alone, pack_source
+from coordlog.mjcf import compose, load_attached, pack_source
+from coordlog.mjcf.source import whole
+from coordlog.robots.card import read_tables, robot_of
+from coordlog.robots.robot import Arm, Robot
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES, find
 
@@ -35,7 +38,7 @@ class RobotModel(NamedTuple):
 
 
 def read_model(given: str) -> RobotModel:
-    """The model of a MJCF or URDF file, or of one of our scenes.
+    """The model of a MJCF or URDF file, of a robot's card, or of one of our scenes.
 
     Raises:
         ConfigError: if there is no such file or scene, or it does not compile.
@@ -43,15 +46,25 @@ def read_model(given: str) -> RobotModel:
     path = Path(given)
     if not path.exists() and given in SCENES:
         scene = find(given)
-        attached = pack_source(compose(scene, EnvConfig()))
-        return RobotModel(scene.robot.name, load_attached(attached), attached)
-    if not path.is_file():
+        name, source = scene.robot.name, compose(scene, EnvConfig())
+    elif path.is_file():
+        robot = _robot(path)
+        name, source = robot.name, whole(robot)
+    else:
         raise ConfigError(
-            f"--robot {given}: expected a MJCF or URDF file, or a scene: {', '.join(sorted(SCENES))}"
+            f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: {', '.join(sorted(SCENES))}"
         )
+    attachments = pack_source(source)
     try:
-        attached = pack_source(model_alone(path))
-        model = load_attached(attached)  # what the log carries, loaded as it will be
-    except (ConfigError, FormatError) as error:
+        model = load_attached(attachments)  # what the log carries, loaded as it will be
+    except FormatError as error:
         raise ConfigError(f"--robot {given}: {error}") from error
-    return RobotModel(path.stem, model, attached)
+    return RobotModel(name, model, attachments)
+
+
+def _robot(path: Path) -> Robot:
+    """The robot of a card, or of a bare model whose arms nobody needs to know here."""
+    if path.suffix == ".toml":
+        return robot_of(read_tables(path), path.parent)
+    arm = Arm("all", palm="", joints=())
+    return Robot(path.stem, path, (arm,), poses={"stand": {}})

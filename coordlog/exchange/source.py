@@ -14,9 +14,11 @@ import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 from coordlog.record.reader import read_attachments, read_episode, read_summary
 
+JITTER = 0.03
+"""How far from a whole rate the median period of an observed episode may be, relatively."""
 _FILTERED = ("sha256", "scene", "clean", "success")
 
 
@@ -143,6 +145,15 @@ def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry
 def kind_of(header: Header) -> str:
     """Kind of an episode: "simulated" (replays bit for bit) or "observed" (came from outside)."""
     return str(getattr(header, "kind", header.episode.get("kind", "simulated")))
+
+
+def fps_of(header: Header) -> int | float:
+    """Control steps a second; whole where they are but for rounding, or, of an observed episode,
+    but for its jitter. The real times are a column of their own.
+    """
+    fps = 1.0 / float(header.episode["control_period"])
+    slack = JITTER if kind_of(header) == "observed" else 1e-6
+    return round(fps) if abs(fps - round(fps)) < slack * fps else fps
 
 
 def task_text(header: Header) -> str:

@@ -103,7 +103,11 @@ def _csv(path: Path) -> pa.Table:
             f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it with points"
         )
     try:
-        return pc.read_csv(io.BytesIO(data), parse_options=pc.ParseOptions(delimiter=delimiter))
+        return pc.read_csv(
+            io.BytesIO(data),
+            parse_options=pc.ParseOptions(delimiter=delimiter),
+            convert_options=pc.ConvertOptions(null_values=[""]),
+        )
     except pa.ArrowInvalid as error:
         raise FormatError(f"{path}: {str(error).splitlines()[0]}") from error
 

@@ -9,7 +9,7 @@ no action joint moves against one another are the log's business and not looked 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import NamedTuple
 
@@ -18,16 +18,17 @@ import numpy as np
 
 from coordlog.config import build
 from coordlog.episode import INITIAL_STATE, Array, Episode
-from coordlog.errors import FormatError
-from coordlog.kinematics.base_motion import Logged
+from coordlog.kinematics.base_motion import STATE, Logged, require_fit, speeds
+from coordlog.kinematics.geometry import geom_label
 from coordlog.kinematics.inverse_dynamics import Inverse
+from coordlog.kinematics.levers import HINGE, SLIDE, strokes
 from coordlog.kinematics.motion_bounds import bounds
+from coordlog.kinematics.pairs import distance_bounds, overestimate
 from coordlog.kinematics.support import FALLING, Footing
 from coordlog.mjcf import load_attached
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 NEAR = 0.08
 """Distances up to this are measured [m].
 
@@ -47,7 +48,6 @@ class Verdict(NamedTuple):
 class Bodies(NamedTuple):
     """Where everything is at n configurations."""
 
-    qpos: Array  # (n, n_q)
     centre: Array  # (n, n_geom, 3) m
     frame: Array  # (n, n_geom, 9)
     com: Array  # (n, 2) m
@@ -69,6 +69,7 @@ class SceneChecker:
         time: Array,
         qpos: Array,
         initial: Array,
+        resting: Sequence[tuple[int, int]] = (),
     ) -> None:
         """Find the pairs and their bounds.
 
@@ -79,36 +80,57 @@ class SceneChecker:
             time: Times of the logged configurations, (T,), T ≥ 2, increasing [s].
             qpos: The logged configurations (T, n_q).
             initial: mjSTATE_INTEGRATION vector whose goals and obstacles hold throughout.
+            resting: Pairs of geoms that lie against one another by design, and are not looked at.
 
         Raises:
-            FormatError: if the model lacks what the robot names, or has joints other than hinges on
-                a free base.
+            FormatError: if the model lacks what the robot names.
         """
         self._model, self._data = copy(model), mujoco.MjData(model)
         mujoco.mj_setState(model, self._data, initial, STATE)
-        self._model.pair_margin[:] = NEVER  # soles on the floor
         self._time, self._margin = time, config.balance_margin
         self._logged = Logged(model, robot, time=time, qpos=qpos)
         self._footing, self._joints = Footing(model, robot, self._logged), self._logged.joints
         self._corners = self._footing.corners
-        found = bounds(model, self._joints, self._corners)
+        ways = strokes(model, qpos)
+        soles = [model.geom(name).id for name in robot.soles]
+        found = bounds(model, self._joints, self._corners, soles=soles, ways=ways, resting=resting)
         self._keep, self._index, self._mass = found.keep, found.place, found.mass
         self.pairs = found.pairs
         """Geom ids of the pairs that are looked at, (P', 2).
 
-        Balance is one more pair after them.
+        Balance is one more pair after them, the ends of the slides' ways another.
         """
+        kinds = model.jnt_type[self._joints]
+        self.units: tuple[str, ...] = tuple("m" if kind == SLIDE else "rad" for kind in kinds)
+        """Unit of each action joint."""
+        turns = (kinds == HINGE) & (model.jnt_limited[self._joints] == 0)
+        self.continuous: tuple[int, ...] = tuple(np.flatnonzero(turns).tolist())
+        """Which of the action joints turn without end."""
+        self._slides: Array = np.flatnonzero(kinds == SLIDE)
+        self._ways: Array = ways[np.array(self._joints)[self._slides]]
+        self._unsure = overestimate(model, self.pairs)
+        self._listed = self._index[model.pair_geom1, model.pair_geom2] >= 0
+        self._set_margin(0.0)
         self.inverse = Inverse(self._model, self._logged, self._footing)
-        self.reach: Array = found.change[:, self._joints]
-        """Metres by which a radian of each action joint changes the distance of each pair, at most,
+        change = found.change
+        if len(self._slides):
+            change = np.concatenate([change, np.zeros((1, change.shape[1]))])
+            change[-1, np.array(self._joints)[self._slides]] = 1.0
+        self.reach: Array = change[:, self._joints]
+        """Metres by which a radian or metre of each action joint changes each slack, at most,
         (P, n_u)."""
-        self._drift = (
-            np.delete(_speeds(model, time, qpos), self._joints, axis=1)
-            @ np.delete(found.change, self._joints, axis=1).T
-        )
+        others = np.delete(speeds(model, time, qpos), self._joints, axis=1)
+        self._drift = others @ np.delete(change, self._joints, axis=1).T
         if self._corners:  # a corner that comes to or leaves the floor changes the balance at once
             lifted = np.flatnonzero(np.diff(self._footing.standing, axis=0).any(axis=1))
-            self._drift[np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1), -1] = np.inf
+            rows = np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1)
+            self._drift[rows, len(self.pairs)] = np.inf
+
+    def _set_margin(self, margin: float) -> None:
+        """Let the engine list contacts of all pairs that are looked at, up to a distance."""
+        model = self._model
+        model.geom_margin[:], model.geom_gap[:], model.pair_gap[:] = margin, 0.0, 0.0
+        model.pair_margin[:] = np.where(self._listed, margin, NEVER)
 
     @classmethod
     def of(cls, episode: Episode, attachments: Mapping[str, bytes]) -> SceneChecker:
@@ -119,16 +141,18 @@ class SceneChecker:
         """
         model = load_attached(attachments)
         initial = np.frombuffer(attachments.get(INITIAL_STATE, b""), dtype="<f8")
-        wanted = mujoco.mj_stateSize(model, STATE)
-        if initial.shape != (wanted,) or model.nq != episode.qpos.shape[1]:
-            raise FormatError(
-                f"attached model and state: expected {wanted} numbers and nq = {episode.qpos.shape[1]}, got {initial.size}, {model.nq}"
-            )
-        robot, config = (
-            Robot.from_json(episode.header.env["robot"]),
-            build(EnvConfig, episode.header.env["config"]),
+        require_fit(model, initial, episode)
+        robot = Robot.from_json(episode.header.env["robot"])
+        config = build(EnvConfig, episode.header.env["config"])
+        return cls(
+            model,
+            robot,
+            config,
+            time=episode.time,
+            qpos=episode.qpos,
+            initial=initial,
+            resting=[(one, other) for one, other in episode.header.env.get("resting", [])],
         )
-        return cls(model, robot, config, time=episode.time, qpos=episode.qpos, initial=initial)
 
     def check(self, time: Array, q: Array, clearance: float) -> Verdict:
         """Judge n configurations of the action joints, q (n, n_u) [rad] at `time` (n,) [s].
@@ -136,7 +160,7 @@ class SceneChecker:
         Pairs must keep `clearance` [m].
         """
         model, data = self._model, self._data
-        model.geom_margin[:] = clearance
+        self._set_margin(clearance)
         n, balance = len(q), len(self.pairs)
         depth, what = np.zeros(n), np.full(n, -1)
         com, corners = np.zeros((n, 2)), np.zeros((n, len(self._corners), 3))
@@ -153,10 +177,14 @@ class SceneChecker:
                 worst = int(short.argmax())
                 if short[worst] > 0.0:
                     depth[i], what[i] = short[worst], pair[worst]
+        others = []
         if self._corners:
-            short = -self._balance(time, com, corners)
+            others.append(-self._balance(time, com, corners))
+        if len(self._slides):
+            others.append(-self._way_left(q))
+        for more, short in enumerate(others):
             worse = short > depth
-            depth, what = np.where(worse, short, depth), np.where(worse, balance, what)
+            depth, what = np.where(worse, short, depth), np.where(worse, balance + more, what)
         return Verdict(what < 0, depth, what)
 
     def moving(self, time: Array, q: Array, velocity: Array, acceleration: Array) -> Verdict:
@@ -164,9 +192,8 @@ class SceneChecker:
         feet, with the task's margin.
         """
         short = self._margin - self.inverse(time, q, velocity, acceleration).balance
-        return Verdict(
-            short <= 0.0, np.maximum(short, 0.0), np.where(short > 0.0, len(self.pairs) + 1, -1)
-        )
+        what = np.where(short > 0.0, len(self.reach), -1)
+        return Verdict(short <= 0.0, np.maximum(short, 0.0), what)
 
     def slack(self, time: Array, q: Array, clearance: float) -> Array:
         """Distance left to each pair, (n, P) [m]: exact up to NEAR, beyond it a lower bound.
@@ -174,7 +201,7 @@ class SceneChecker:
         And the margin of balance.
         """
         bodies = self._place(self._logged.whole(time, q))
-        distance = self._apart(bodies.centre)
+        distance = distance_bounds(self._model, self._data, self.pairs, bodies.centre)
         row, pair = np.nonzero(distance < clearance + NEAR)
         model, data, last = self._model, self._data, -1
         first, second = self.pairs.T.tolist()
@@ -184,12 +211,13 @@ class SceneChecker:
             distance[i, p] = mujoco.mj_geomDistance(
                 model, data, first[p], second[p], clearance + NEAR, None
             )
-        distance -= clearance * self._keep
-        if not self._corners:
-            return np.asarray(distance)
-        return np.concatenate(
-            [distance, self._balance(time, bodies.com, bodies.corners)[:, None]], axis=1
-        )
+        distance -= clearance * self._keep + self._unsure
+        columns = [distance]
+        if self._corners:
+            columns.append(self._balance(time, bodies.com, bodies.corners)[:, None])
+        if len(self._slides):
+            columns.append(self._way_left(q)[:, None])
+        return np.concatenate(columns, axis=1)
 
     def drift(self, start: Array, stop: Array) -> Array:
         """Speed at which each slack may change within [start, stop] because the base and the other
@@ -206,18 +234,45 @@ class SceneChecker:
     def nearest(self, time: Array, q: Array) -> float:
         """Least distance of any pair that keeps a clearance, over n configurations [m].
 
-        No more than NEAR.
+        No more than NEAR. A pair is measured again only once the motion may have brought it nearer
+        than the least distance found so far.
+
+        Args:
+            time: Times, (n,), increasing [s].
+            q: Configurations of the action joints, (n, n_u).
         """
-        if not self._keep.any():
-            return NEAR
-        return min(NEAR, float(self.slack(time, q, 0.0)[:, : len(self.pairs)][:, self._keep].min()))
+        model, data, least = self._model, self._data, NEAR
+        pairs = np.flatnonzero(self._keep)
+        step = np.diff(time)[:, None] * self.drift(time[:-1], time[1:])[:, pairs]
+        loss = np.abs(np.diff(q, axis=0)) @ self.reach[pairs].T + step
+        bound = np.full(len(pairs), -np.inf)
+        for i, row in enumerate(self._logged.whole(time, q)):
+            bound = bound - loss[i - 1] if i else bound
+            near = np.flatnonzero(bound < least).tolist()
+            if near:
+                data.qpos[:] = row
+                mujoco.mj_kinematics(model, data)
+            for k in near:
+                first, second = self.pairs[pairs[k]].tolist()
+                bound[k] = mujoco.mj_geomDistance(model, data, first, second, 2.0 * NEAR, None)
+                least = min(least, float(bound[k]))
+        return least
 
     def describe(self, what: int) -> str:
         """Name a pair."""
-        if what >= len(self.pairs):
-            return f"the {'centre of mass' if what == len(self.pairs) else 'zero-moment point'} and the edge of its support"
-        first, second = (self._model.geom(int(geom)).name for geom in self.pairs[what])
-        return f"{first} and {second}"
+        if what < len(self.pairs):
+            first, second = (geom_label(self._model, int(geom)) for geom in self.pairs[what])
+            return f"{first} and {second}"
+        if what == len(self.reach):
+            return "the zero-moment point and the edge of its support"
+        if self._corners and what == len(self.pairs):
+            return "the centre of mass and the edge of its support"
+        return "a slide and the end of its way"
+
+    def _way_left(self, q: Array) -> Array:
+        """Metres that a slide has left to either end of its way, the least of all, (n,)."""
+        at = q[:, self._slides]
+        return np.asarray(np.minimum(at - self._ways[:, 0], self._ways[:, 1] - at).min(axis=1))
 
     def _place(self, qpos: Array) -> Bodies:
         model, data, n = self._model, self._data, len(qpos)
@@ -239,51 +294,10 @@ class SceneChecker:
                 (self._mass @ mid)[:2],
                 site[self._corners],
             )
-        return Bodies(qpos, centre, frame, com, corners)
-
-    def _apart(self, centre: Array) -> Array:
-        """Lower bounds on all distances, (n, P') [m]: sphere to sphere, and to planes and boxes of
-        the world as they are.
-        """
-        model, data = self._model, self._data
-        first, second = self.pairs.T
-        bound = (
-            np.linalg.norm(centre[:, first] - centre[:, second], axis=2)
-            - model.geom_rbound[first]
-            - model.geom_rbound[second]
-        )
-        for geom in np.unique(self.pairs[model.geom_bodyid[self.pairs] == 0]):
-            columns = np.flatnonzero((first == geom) | (second == geom))
-            other = np.where(first[columns] == geom, second[columns], first[columns])
-            away = (centre[:, other] - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
-            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-                bound[:, columns] = away[..., 2] - model.geom_rbound[other]
-            elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-                outside = np.maximum(np.abs(away) - model.geom_size[geom], 0.0)
-                bound[:, columns] = np.linalg.norm(outside, axis=2) - model.geom_rbound[other]
-        return np.asarray(bound)
+        return Bodies(centre, frame, com, corners)
 
     def _balance(self, time: Array, com: Array, corners: Array) -> Array:
         """Margin of the centre of mass over the feet, less the one the task asks for, (n,) [m]."""
         return np.asarray(
             np.maximum(self._footing.margin(time, com, corners) - self._margin, FALLING)
         )
-
-
-def _speeds(model: mujoco.MjModel, time: Array, qpos: Array) -> Array:
-    """How fast every joint turns between logged configurations, at most [rad/s], and last the base
-    shifts [m/s], (T - 1, n_jnt + 1).
-    """
-    moved = np.zeros((len(time) - 1, model.njnt + 1))
-    for joint in range(model.njnt):
-        place = int(model.jnt_qposadr[joint])
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
-            moved[:, joint] = np.abs(np.diff(qpos[:, place]))
-        else:
-            moved[:, -1] = np.linalg.norm(np.diff(qpos[:, place : place + 3], axis=0), axis=1)
-            turn = qpos[:, place + 3 : place + 7]
-            half = np.arccos(np.clip(np.abs((turn[1:] * turn[:-1]).sum(axis=1)), 0.0, 1.0))
-            moved[:, joint] = 4.0 * np.tan(
-                half / 2.0
-            )  # a straight line between quaternions turns fastest in its middle
-    return np.asarray(moved / np.diff(time)[:, None])

@@ -124,11 +124,12 @@ class Geometry:
             raise FormatError(
                 f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}"
             ) from error
-        self.joints: Array = np.array([joint.qposadr[0] for joint in joints])
+        self.joints: Array = np.array([joint.qposadr[0] for joint in joints], dtype=int)
         """Places of the action joints in qpos, (n_u,)."""
-        self.limits: Array = np.array([joint.range for joint in joints])
+        self.limits: Array = np.array([joint.range for joint in joints]).reshape(-1, 2)
         """Their ranges, (n_u, 2) [rad]."""
-        self._base = int(model.body_rootid[model.site_bodyid[self._palms[0]]])
+        bearer = int(model.site_bodyid[self._palms[0]]) if self._palms else min(1, model.nbody - 1)
+        self._base = int(model.body_rootid[bearer])
         self._goals = {goal_body(arm.name) for arm in robot.arms}
         self.geoms = [self._geom(i) for i in range(model.ngeom)]
         boxed = [geom.index for geom in self.geoms if int(model.geom_type[geom.index]) not in DRAWN]
@@ -177,7 +178,8 @@ class Geometry:
                 data.geom_xpos,
                 data.subtree_com[self._base],
             )
-            palms[i], corners[i] = data.site_xpos[self._palms], data.site_xpos[self._corners]
+            if self._palms:
+                palms[i], corners[i] = data.site_xpos[self._palms], data.site_xpos[self._corners]
         quaternion = _product(bodies[:, model.geom_bodyid], model.geom_quat)
         if self._middle.any():
             position = position + turned(quaternion, self._middle)

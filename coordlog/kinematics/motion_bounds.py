@@ -1,9 +1,8 @@
-"""What of a checker depends on the model alone: which pairs can meet, and how far a joint can
-change their distance, at most.
-"""
+"""Per-model data of a checker: collision pairs, and bounds on how joints change their distance."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.kinematics.levers import Levers, moved
+from coordlog.kinematics.levers import FREE, Levers, moved, strokes
 from coordlog.kinematics.pairs import contact_pairs, neighbours
 
 MODELS = 16
@@ -31,8 +30,8 @@ class Bounds(NamedTuple):
     mass: Array
     """Share of the robot's mass in each body, (n_body,)."""
     change: Array
-    """Metres by which each pair's slack changes, at most, (P, n_jnt + 1): per radian of each joint,
-    and per metre of the base."""
+    """Metres by which each pair's slack changes, at most, (P, n_jnt + n_free): per radian or metre
+    of each joint, and per metre of each free body."""
 
 
 class _Kinematics:
@@ -55,6 +54,7 @@ class _Kinematics:
         ),
         *(
             "jnt_axis",
+            "qpos0",
             "geom_bodyid",
             "geom_pos",
             "geom_contype",
@@ -66,14 +66,16 @@ class _Kinematics:
         *("site_bodyid", "site_pos"),
     )
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, ways: Array) -> None:
+        self.model, self.ways = model, ways
         moves = (model.body_weldid[model.geom_bodyid] > 0) & (
             model.body_mocapid[model.geom_bodyid] < 0
         )
         parts = [np.asarray(getattr(model, name)) for name in self._PARTS]
         self._bytes = (
-            b"".join(part.tobytes() for part in parts) + (model.geom_rbound * moves).tobytes()
+            b"".join(part.tobytes() for part in parts)
+            + (model.geom_rbound * moves).tobytes()
+            + ways.tobytes()
         )
 
     def __hash__(self) -> int:
@@ -83,23 +85,42 @@ class _Kinematics:
         return isinstance(other, _Kinematics) and self._bytes == other._bytes
 
 
-def bounds(model: mujoco.MjModel, joints: list[int], corners: list[int]) -> Bounds:
-    """Bounds for a model whose joints with these ids move, and whose soles have corners at sites
-    with those ids.
+def bounds(
+    model: mujoco.MjModel,
+    joints: list[int],
+    corners: list[int],
+    *,
+    soles: Sequence[int] = (),
+    resting: Sequence[tuple[int, int]] = (),
+    ways: Array | None = None,
+) -> Bounds:
+    """Pairs of geoms that joints move apart, and bounds on how fast.
 
-    Raises:
-        FormatError: if the model has joints other than hinges on a free base.
+    Args:
+        model: Robot and scene.
+        joints: Ids of the joints that a path moves.
+        corners: Ids of the sites at the corners of the soles.
+        soles: Ids of the geoms that may touch the ground.
+        resting: Pairs of geoms that lie against one another, and are left out.
+        ways: As from `levers.strokes`; by default, of the model alone.
     """
-    return _bounds(_Kinematics(model), tuple(joints), tuple(corners))
+    ways = strokes(model) if ways is None else ways
+    others = (tuple(soles), tuple(resting))
+    return _bounds(_Kinematics(model, ways), tuple(joints), tuple(corners), others)
 
 
 @lru_cache(maxsize=MODELS)
-def _bounds(kinematics: _Kinematics, joints: tuple[int, ...], corners: tuple[int, ...]) -> Bounds:
+def _bounds(
+    kinematics: _Kinematics,
+    joints: tuple[int, ...],
+    corners: tuple[int, ...],
+    others: tuple[tuple[int, ...], tuple[tuple[int, int], ...]],
+) -> Bounds:
     model = kinematics.model
-    levers = Levers(model)
+    levers = Levers(model, kinematics.ways)
     mass = model.body_mass * (model.body_rootid == model.body_rootid[model.jnt_bodyid[joints[0]]])
     mass = mass / mass.sum()
-    pairs = contact_pairs(model, levers, set(joints))
+    pairs = contact_pairs(model, levers, set(joints), *others)
     index = np.full((model.ngeom, model.ngeom), -1)
     index[pairs[:, 0], pairs[:, 1]] = index[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
     moves, reach = moved(model, levers)
@@ -115,11 +136,12 @@ def _bounds(kinematics: _Kinematics, joints: tuple[int, ...], corners: tuple[int
 
 
 def _balance(model: mujoco.MjModel, levers: Levers, mass: Array, corners: tuple[int, ...]) -> Array:
-    """Metres by which the margin of balance changes, at most, (n_jnt + 1,)."""
+    """Metres by which the margin of balance changes, at most, (n_jnt + n_free,)."""
     heavy = np.flatnonzero(mass)
     centre = mass[heavy] @ levers.of(heavy.tolist(), model.body_ipos[heavy], np.zeros(len(heavy)))
     soles = model.site_bodyid[list(corners)]
     feet = levers.of(soles.tolist(), model.site_pos[list(corners)], np.zeros(len(soles))).max(
         axis=0
     )
-    return np.append(centre + feet, 0.0)  # a shift of the base moves the mass and the feet alike
+    free = int((model.jnt_type == FREE).sum())
+    return np.append(centre + feet, np.zeros(free))  # a shift moves the mass and the feet alike

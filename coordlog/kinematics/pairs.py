@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -12,10 +14,24 @@ NEIGHBOURS = 2
 """Bodies of the robot this many links apart, or fewer, stand close by design: they must not touch,
 but keep no clearance."""
 
+_EXACT = [
+    getattr(mujoco.mjtGeom, f"mjGEOM_{kind}") for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX")
+]
+_GROUND = [mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD]
 
-def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Array:
-    """Pairs of geoms that MuJoCo lets collide and an action joint moves against one another, (P',
-    2).
+
+def contact_pairs(
+    model: mujoco.MjModel,
+    levers: Levers,
+    joints: set[int],
+    soles: Sequence[int] = (),
+    resting: Sequence[tuple[int, int]] = (),
+) -> Array:
+    """Pairs of geoms that MuJoCo lets collide and a joint among `joints` moves apart, (P', 2).
+
+    A pair that the model lists for itself counts whatever its masks are. Soles may stand on the
+    ground: on planes and height fields of the world; `resting` pairs lie against one another by
+    design.
     """
     first, second = np.triu_indices(model.ngeom, k=1)
     masks = (model.geom_contype[first] & model.geom_conaffinity[second]) | (
@@ -30,7 +46,14 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
         (bodies[1] << 16) + bodies[0], model.exclude_signature
     )
     special = np.sort(np.stack([model.pair_geom1, model.pair_geom2]), axis=0)
-    excluded |= np.isin(first * model.ngeom + second, special[0] * model.ngeom + special[1])
+    listed = np.isin(first * model.ngeom + second, special[0] * model.ngeom + special[1])
+    ground = np.isin(model.geom_type, _GROUND) & (model.geom_bodyid == 0)
+    foot = np.isin(np.arange(model.ngeom), list(soles))
+    stands = (foot[first] & ground[second]) | (ground[first] & foot[second])
+    rests = np.isin(
+        first * model.ngeom + second,
+        [min(pair) * model.ngeom + max(pair) for pair in resting],
+    )
     driven = np.array(
         [
             [joint in levers.above(int(body)) for joint in sorted(joints)]
@@ -38,7 +61,7 @@ def contact_pairs(model: mujoco.MjModel, levers: Levers, joints: set[int]) -> Ar
         ]
     )
     apart = (driven[first] != driven[second]).any(axis=1)
-    keep = (masks > 0) & ~kin & ~excluded & apart
+    keep = (((masks > 0) & ~kin & ~excluded) | listed) & apart & ~(stands | rests)
     return np.stack([first[keep], second[keep]], axis=1)
 
 
@@ -54,3 +77,44 @@ def neighbours(model: mujoco.MjModel, pairs: Array) -> Array:
         ]:  # i links down on one side, no more than the rest on the other
             near |= (one[:, 0] == other[:, 1]) & (one[:, 0] > 0)
     return near
+
+
+def overestimate(model: mujoco.MjModel, pairs: Array) -> Array:
+    """By how much the engine may overestimate the distance of each pair, (P',) [m].
+
+    Between spheres, capsules and boxes it has closed forms; other shapes, meshes among them, it
+    approaches by iteration, to within its own tolerance.
+    """
+    iterated = ~np.isin(model.geom_type[pairs], _EXACT).all(axis=1)
+    return np.asarray(iterated * (2.0 * model.opt.ccd_tolerance))
+
+
+def distance_bounds(
+    model: mujoco.MjModel, data: mujoco.MjData, pairs: Array, centre: Array
+) -> Array:
+    """Lower bounds on the distances of pairs at n configurations, (n, P') [m].
+
+    Sphere to sphere, and spheres to planes and boxes of the world as they are.
+
+    Args:
+        model: Bounding spheres.
+        data: Where the geoms of the world stand.
+        pairs: Geom ids, (P', 2).
+        centre: Middles of all geoms, (n, n_geom, 3).
+    """
+    first, second = pairs.T
+    bound = (
+        np.linalg.norm(centre[:, first] - centre[:, second], axis=2)
+        - model.geom_rbound[first]
+        - model.geom_rbound[second]
+    )
+    for geom in np.unique(pairs[model.geom_bodyid[pairs] == 0]):
+        columns = np.flatnonzero((first == geom) | (second == geom))
+        other = np.where(first[columns] == geom, second[columns], first[columns])
+        away = (centre[:, other] - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+            bound[:, columns] = away[..., 2] - model.geom_rbound[other]
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            outside = np.maximum(np.abs(away) - model.geom_size[geom], 0.0)
+            bound[:, columns] = np.linalg.norm(outside, axis=2) - model.geom_rbound[other]
+    return np.asarray(bound)

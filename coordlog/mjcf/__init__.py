@@ -15,6 +15,7 @@ from coordlog.mjcf.attached import (
     silence,
 )
 from coordlog.mjcf.compose import compose, with_radii
+from coordlog.mjcf.others import same_physics, text_of
 from coordlog.mjcf.printing import Source, compile_model
 from coordlog.mjcf.servos import actuator_label, held_controls, servos_of
 from coordlog.mjcf.source import model_alone
@@ -32,8 +33,10 @@ __all__ = [
     "load_model",
     "model_alone",
     "pack_source",
+    "same_physics",
     "self_contained",
     "servos_of",
     "silence",
+    "text_of",
     "with_radii",
 ]

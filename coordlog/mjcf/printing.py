@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -33,16 +34,24 @@ def printed(spec: mujoco.MjSpec) -> str:
     Raises:
         SimulationError: if MuJoCo refuses to compile the spec, with MuJoCo's reason.
     """
+    try:
+        with full_precision():
+            text: str = spec.to_xml()
+    except ValueError as error:
+        raise SimulationError(refusal(error)) from error
+    return LONG.sub(lambda found: _shortest(found[0]), text)
+
+
+@contextmanager
+def full_precision() -> Iterator[None]:
+    """Let MuJoCo print numbers with all their digits."""
     precision = _switch()
     before = precision.get()
     precision.set(DIGITS)
     try:
-        text: str = spec.to_xml()
-    except ValueError as error:
-        raise SimulationError(refusal(error)) from error
+        yield
     finally:
         precision.set(before)
-    return LONG.sub(lambda found: _shortest(found[0]), text)
 
 
 def compile_model(source: Source | str) -> mujoco.MjModel:

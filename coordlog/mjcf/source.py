@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from coordlog.errors import ConfigError
+from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf.printing import Source, printed
 from coordlog.robots.robot import Arm, Robot
 
@@ -301,3 +301,25 @@ def _hull(model: mujoco.MjModel, mesh: int) -> bytes:
     return "".join(
         f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in places + model.mesh_pos[mesh] + 0.0
     ).encode()
+
+
+def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
+    """The text of a model, and the files it needs to collide, with nothing reduced: what compiles
+    to the very physics of a compiled model, as that has been changed since. None where MuJoCo or
+    its files do not allow it.
+    """
+    name = given.stem if isinstance(given, Path) else "model"
+    robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
+    try:
+        spec = _read(robot)
+        spec.compile()
+        spec.copy_back(model)
+        visual = _drop_pictures(spec)
+        if not any(not geom.parent.explicitinertial for geom in visual):
+            _delete(spec, visual)
+        files = _files(spec, robot)
+        spec.assets = files
+        spec.compile()
+        return Source(printed(spec), files)
+    except (ConfigError, SimulationError, ValueError, RuntimeError):
+        return None

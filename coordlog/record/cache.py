@@ -164,7 +164,7 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
         episodes = _described(part)
         name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
         sums = {
-            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(STEP_COLUMNS)),
+            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(_columns(part.steps))),
             EPISODES: _write(folder / f"{name}{EPISODES}", episodes),
         }
         _write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
@@ -240,13 +240,20 @@ def _clock(folder: Path) -> int:
         return os.fstat(stream.fileno()).st_mtime_ns
 
 
+def _columns(steps: pa.Table) -> list[str]:
+    """Those of STEP_COLUMNS that these episodes' task has."""
+    return [name for name in STEP_COLUMNS if name in steps.column_names]
+
+
 def _described(part: Decoded) -> pa.Table:
     """Rows of `Logs.episodes`, without the file's name: it may change."""
     starts = np.concatenate([[0], np.cumsum(part.finals.column("length"))[:-1]]).astype(np.int64)
     columns = ("state", "length", "success", "clean", "terminated", "truncated", "aborted")
     table = part.finals.select([*columns, "returns"])
     for column, flag in (("collided", "collision"), ("fell", "instability")):
-        values = part.steps.column(flag).to_numpy(zero_copy_only=False)
+        values = np.zeros(part.steps.num_rows, np.bool_)
+        if flag in part.steps.column_names:
+            values = part.steps.column(flag).to_numpy(zero_copy_only=False)
         table = table.append_column(column, pa.array(np.logical_or.reduceat(values, starts)))
     rows = [_said(header) for header in part.headers]
     described = pa.Table.from_pylist(rows, schema=_SAID)

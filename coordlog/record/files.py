@@ -13,12 +13,15 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from coordlog.errors import CoordlogError, FormatError, SpecError, StorageError
 from coordlog.record.addresses import expand
 from coordlog.record.storage import PART
 from coordlog.strangers import SUFFIXES, recognise
+
+if TYPE_CHECKING:
+    from coordlog.episode import Header
 
 SUFFIX = ".mcap"
 
@@ -85,16 +88,22 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
 def recovered_before(part: Path) -> Path | None:
     """The finished episode beside a part file that was made of it; None if there is none.
 
-    Both begin with one header, whose id is that of a single recording.
+    Both headers bear one id, which is that of a single recording.
     """
     from coordlog.record.reader import read_header, read_summary
 
     target = part.with_suffix("")
     try:
-        made = target.is_file() and read_summary(target).header == read_header(part)
+        made = target.is_file() and _identity(read_summary(target).header) == _identity(
+            read_header(part)
+        )
     except CoordlogError:
         return None
     return target if made else None
+
+
+def _identity(header: Header) -> tuple[object, ...]:
+    return tuple(header.episode.get(key) for key in ("id", "run", "scene", "seed", "index"))
 
 
 def nothing_found(

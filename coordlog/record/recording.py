@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coordlog.episode import INITIAL_STATE, MODEL_XML, Array, Episode, Header, Result
+from coordlog.episode import INITIAL_STATE, Array, Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.record.contents import Contents, contents
 from coordlog.record.decoding import decode, require_header
 from coordlog.record.metadata import RESULT, decode_header, decode_result, vouched
@@ -122,7 +122,7 @@ class Recording:
             FormatError: if there is none, or MuJoCo refuses it.
         """
         with naming(self.source):
-            return load_model(self.attachments.get(MODEL_XML), None)
+            return load_attached(self.attachments)
 
     @cached_property
     def initial_state(self) -> Array:

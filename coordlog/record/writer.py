@@ -291,14 +291,23 @@ def _inputs_between(inputs: Columns, first: int, stop: int) -> Columns | None:
 
 
 def write_episode(
-    path: str | PathLike[str], episode: Episode, *, attachments: Mapping[str, bytes], display: bool
+    path: str | PathLike[str],
+    episode: Episode,
+    *,
+    attachments: Mapping[str, bytes],
+    display: bool,
+    shown: Shown | None = None,
 ) -> Result:
     """Write an episode that is in memory; its `result` is computed anew but for `aborted`.
+
+    Arguments as of `EpisodeWriter`.
 
     Raises:
         StorageError: if the file exists or cannot be written; a part file that was begun stays.
     """
-    with EpisodeWriter(path, episode.header, attachments=attachments, display=display) as writer:
+    with EpisodeWriter(
+        path, episode.header, attachments=attachments, display=display, shown=shown
+    ) as writer:
         for first in range(0, len(episode), BLOCK):
             stop = min(first + BLOCK, len(episode))
             columns = {name: values[first:stop] for name, values in episode.columns.items()}

@@ -77,6 +77,8 @@ class Robot:
     """Pairs of bodies that never collide, beside those the model excludes itself."""
 
     def __post_init__(self) -> None:
+        if not self.arms and not self.poses:
+            return  # of an episode of another program's environment: nothing but looked at
         if not self.arms:
             raise ConfigError(f"robot '{self.name}': expected at least one arm, got none")
         joints = self.action_joints
@@ -142,17 +144,19 @@ class Robot:
 
         A log's model is attached whole, scene included, so `mjcf` may stay empty.
         """
-        arms = tuple(Arm(arm["name"], arm["palm"], tuple(arm["joints"])) for arm in data["arms"])
-        centre = tuple(data["centre"])
-        shared, soles = tuple(data["shared"]), tuple(data["soles"])
+        arms = tuple(
+            Arm(arm["name"], arm["palm"], tuple(arm["joints"])) for arm in data.get("arms", ())
+        )
+        if not arms:
+            return cls(data["name"], mjcf, ())
         return cls(
             data["name"],
             mjcf,
             arms,
-            shared,
-            soles,
+            tuple(data["shared"]),
+            tuple(data["soles"]),
             data["torso"],
             data["poses"],
-            centre,
+            tuple(data["centre"]),
             data["reach"],
         )

@@ -19,6 +19,7 @@ from coordlog.contracts import Outcome, Problem
 from coordlog.episode import CONTACT, Array, Episode, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
+from coordlog.sim import foreign
 from coordlog.sim.physics import STATE, Physics
 from coordlog.sim.rollout import rollout
 from coordlog.sim.simulation import Simulation
@@ -41,11 +42,18 @@ class Log(NamedTuple):
     action: Array
     """(T, n_u) float32."""
     given: Mapping[str, Array] = {}
-    """The task's logged columns that hold before an action, (T + 1, …)."""
+    """The task's logged columns that hold before an action, (T + 1, …); of an episode of another
+    program's environment all columns."""
+    inputs: Mapping[str, Array] = {}
+    """What else the physics was given: columns of `spec.INPUTS`."""
 
     @classmethod
     def of(cls, episode: Episode, model: mujoco.MjModel, start: Array) -> Log:
         """The log of an episode: its header, actions, and what its task was given."""
+        if episode.header.task == foreign.TASK:
+            return cls(
+                episode.header, model, start, episode.action, episode.columns, episode.inputs
+            )
         fields = before(episode.header.fields)
         given = {item.name: getattr(episode, item.name) for item in fields if item.owner != CORE}
         return cls(episode.header, model, start, episode.action, given)
@@ -96,6 +104,8 @@ def resting_of(header: Header) -> list[tuple[int, int]]:
 
 def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     """Replay logs of one environment, one simulation each."""
+    if logs[0].header.task == foreign.TASK:
+        return [_retraced(log) for log in logs]
     env = Traced(LogEnv(logs, threads=threads))
     lengths = np.array([len(log.action) for log in logs])
     ids = np.arange(len(logs))
@@ -111,16 +121,29 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     return [env.trace(int(i), wanted) for i in ids]
 
 
+def _retraced(log: Log) -> Trace:
+    """An episode of another program's environment again: its motion, not its task."""
+    ctrl = log.given.get("ctrl", np.zeros((len(log.action), 0)))
+    moved = foreign.retrace(log.model, log.start, ctrl, log.given[foreign.SUBSTEPS], log.inputs)
+    return Trace(moved, np.zeros(0, CONTACT))
+
+
 def task_of(log: Log) -> BoundTask:
-    """The task a log was recorded in, rebuilt from its header and model.
+    """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
 
     Raises:
         ConfigError: if the task is not installed, or the model lacks what the header names.
     """
-    env = log.header.env
-    config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-    rules = registry.task_of(env)
-    return BoundTask(rules, Robot.from_json(env["robot"]), log.model, config, reward)
+    global _last
+    if _last is None or _last[0] is not log.header or _last[1] is not log.model:
+        env = log.header.env
+        config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
+        robot, rules = Robot.from_json(env["robot"]), registry.task_of(env)
+        _last = log.header, log.model, BoundTask(rules, robot, log.model, config, reward)
+    return _last[2]
+
+
+_last: tuple[Header, mujoco.MjModel, BoundTask] | None = None
 
 
 class LogEnv:

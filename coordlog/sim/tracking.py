@@ -118,3 +118,26 @@ def targets(log: Log) -> Array:
         target = task.target(target, command)
         found.append(target[0, task.servos])
     return np.stack(found)
+
+
+def torques(log: Log, wanted: Array) -> Array:
+    """Torques of the action joints at the end of each logged step, (T, n_u) [Nm].
+
+    The physics alone: nothing is observed, and no task decides.
+
+    Args:
+        log: Model and first state.
+        wanted: Servo targets as from `targets`.
+    """
+    task, model, data = task_of(log), log.model, mujoco.MjData(log.model)
+    mujoco.mj_setState(model, data, first_state(log), STATE)
+    found = np.empty((len(wanted) - 1, len(task.servos)))
+    before = data.ctrl.copy()
+    for step in range(len(found)):
+        after = before.copy()
+        after[task.servos] = wanted[step + 1]
+        for k in range(task.substeps):
+            data.ctrl[:] = before + (after - before) * ((k + 1.0) / task.substeps)
+            mujoco.mj_step(model, data)
+        found[step], before = data.actuator_force[task.servos], after
+    return found

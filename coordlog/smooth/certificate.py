@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from coordlog.path import Floats, Path
-from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.feasibility import DistanceChecker
 from coordlog.smooth.times import spacing
+from coordlog.smooth.violations import NONE, Kind, Violations, violations
 
 _WIDEST = 8  # knots in a stretch at first: far from everything a smooth path needs no more
 _FINEST = 1e-4  # knots: a path so close to trouble that an answer covers less than this counts as unproven
@@ -23,7 +23,7 @@ _SHORT = 16  # times the finest: only in stretches this short, for in longer one
 
 def certify(
     spline: Path, checker: DistanceChecker, clearance: float, *, allowed: Floats | None = None
-) -> Breaches:
+) -> Violations:
     """Prove that every point of a path is free, or say where that fails.
 
     Args:
@@ -33,7 +33,7 @@ def certify(
         allowed: Metres by which each pair may fall short of it, (P,).
 
     Returns:
-        No breaches if the path is proven free; otherwise the first ones found, all CONTACT or all
+        No violations if the path is proven free; otherwise the first ones found, all CONTACT or all
         UNPROVEN.
     """
     fastest, last = _Fastest(spline), len(spline.time) - 1
@@ -49,7 +49,7 @@ def certify(
             return NONE
         bad = ~(slack.min(axis=1) >= 0.0)  # a NaN is bad
         if bad.any():
-            return breaches(
+            return violations(
                 Kind.CONTACT, middle[bad], -slack[bad].min(axis=1), slack[bad].argmin(axis=1)
             )
         before = _covered(slack, fastest(start, middle), checker, start, middle)
@@ -64,7 +64,7 @@ def certify(
         )
         stuck = small & (half < _SHORT * finest)
         if stuck.any():
-            return breaches(
+            return violations(
                 Kind.UNPROVEN, middle[stuck], np.zeros(stuck.sum()), slack[stuck].argmin(axis=1)
             )
         left, right = (middle - before * half)[more_before], (middle + after * half)[more_after]

@@ -45,30 +45,3 @@ def lam_from_cutoff(cutoff: ArrayLike, dt: float) -> Floats:
     """
     with np.errstate(divide="ignore"):
         return np.asarray((2.0 * np.pi * np.asarray(cutoff, dtype=float)) ** -4.0 / dt)
-
-
-def p_from_cutoff(cutoff: ArrayLike, dt: float) -> Floats:
-    """The paper's p of a cut-off [Hz] at a knot spacing dt [s]."""
-    return p_from_lam(lam_from_cutoff(cutoff, dt), dt)
-
-
-def cutoff_from_p(p: ArrayLike, dt: float) -> Floats:
-    """Cut-off [Hz] of the paper's p at a knot spacing dt [s]."""
-    return cutoff_from_lam(lam_from_p(p, dt), dt)
-
-
-def gain(frequency: ArrayLike, lam: ArrayLike, dt: float) -> Floats:
-    """Exact amplitude gain in (0, 1] of the fit for uniform samples, far from the ends.
-
-    H(θ) = 1 / (1 + (λ / dt³) (2 - 2 cos θ)² / ((2 + cos θ) / 3)) with θ = 2π · frequency · dt.
-
-    Args:
-        frequency: Frequency of a sine [Hz], below 1 / (2 dt).
-        lam: λ [s³], unit weights.
-        dt: Sample period [s].
-    """
-    cos = np.cos(2.0 * np.pi * np.asarray(frequency, dtype=float) * dt)
-    return np.asarray(
-        1.0
-        / (1.0 + np.asarray(lam, dtype=float) / dt**3 * 3.0 * (2.0 - 2.0 * cos) ** 2 / (2.0 + cos))
-    )

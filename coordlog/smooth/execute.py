@@ -16,10 +16,10 @@ import numpy as np
 from coordlog.episode import Array, Episode
 from coordlog.path import Path
 from coordlog.sim.replay import Log, task_of
-from coordlog.sim.tracking import Drive, Run, run, targets
-from coordlog.smooth.ease import grid_for
+from coordlog.sim.tracking import Drive, Run, run, targets, torques
+from coordlog.smooth.blending import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
-from coordlog.smooth.result import KEPT_RAW, RAW_INFEASIBLE, Result
+from coordlog.smooth.result import FALLBACK, RAW_INFEASIBLE, Result
 
 DEEPER = 1e-4
 """Contacts of the raw run may be deeper by this much [m] in the smoothed one and still count as the
@@ -39,18 +39,16 @@ class Torques(NamedTuple):
     rate: float
     """Root mean square over time of |Δτ| / Δt between control steps [Nm/s]."""
     peak: float
-    """Largest |τ| [Nm]."""
+    """Largest |τ| of any action joint [Nm]."""
 
     @classmethod
-    def of(cls, ran: Run, period: float) -> Torques:
-        """Of a run with this control period [s]; a single step has no rate."""
-        return cls(
-            torque_rate(ran.torque, period) if len(ran.torque) > 1 else 0.0, torque_peak(ran.torque)
-        )
+    def of(cls, torque: Array, period: float) -> Torques:
+        """Of torques (T, n_u) at the end of each control step; a single step has no rate."""
+        return cls(torque_rate(torque, period) if len(torque) > 1 else 0.0, torque_peak(torque))
 
 
 class Execution(NamedTuple):
-    """What stands after the path was tried."""
+    """Result of executing the smoothed path."""
 
     status: str
     """As of `Result`; kept_raw where the execution was worse than the raw run."""
@@ -78,48 +76,73 @@ def execute(log: Log, result: Result, episode: Episode) -> Execution:
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task, period = task_of(log), task_of(log).config.control_period
-    again = run(log, lambda step, _: log.action[step], steps=len(log.action))
-    raw = Torques.of(again, period)
-    if result.status == KEPT_RAW or not result.lam.any():
+    task, wanted = task_of(log), targets(log)
+    period = task.config.control_period
+    raw = Torques.of(logged_torques(log, episode, wanted), period)
+    if result.status == FALLBACK or not result.lam.any():
         return Execution(result.status, result.reason, None, raw, None, 0.0)
-    ran = follow(log, result, episode.qpos[:, task.qpos_index], arrives=episode.result.success)
-    smoothed, away = Torques.of(ran, period), _away(ran, result.spline, task.qpos_index)
+    angles = episode.qpos[:, task.qpos_index]
+    ran = follow(log, result, angles, wanted=wanted, arrives=episode.result.success)
+    smoothed = Torques.of(ran.torque, period)
+    away = _away(ran, result.spline, task.qpos_index)
     failure = worse(ran, episode)
     if not failure:
         return Execution(result.status, result.reason, ran, raw, smoothed, away)
-    status = RAW_INFEASIBLE if result.status == RAW_INFEASIBLE else KEPT_RAW
+    status = RAW_INFEASIBLE if result.status == RAW_INFEASIBLE else FALLBACK
     return Execution(status, f"the smoothed path, executed, {failure}", None, raw, smoothed, away)
 
 
-def follow(log: Log, result: Result, angles: Array, *, arrives: bool) -> Run:
-    """Execute a path without judging it.
+def logged_torques(log: Log, episode: Episode, wanted: Array) -> Array:
+    """Torques of the action joints at the end of each logged step, (T, n_u) [Nm].
+
+    A file of version 1 has none: there its physics is stepped through once more.
 
     Args:
-        log: The episode it was smoothed from; its actions tell the servo targets of the raw run.
+        log: Model and first state.
+        episode: The log, with a `torque` of every actuator or without.
+        wanted: Servo targets before each action and after the last, (T + 1, n_u) [rad].
+    """
+    logged = getattr(episode, "torque", None)
+    if logged is None or not np.size(logged):
+        return torques(log, wanted)
+    return np.asarray(logged[:, task_of(log).servos], dtype=np.float64)
+
+
+def follow(
+    log: Log, result: Result, angles: Array, *, arrives: bool, wanted: Array | None = None
+) -> Run:
+    """Execute a path, whatever comes of it.
+
+    Args:
+        log: The episode it was smoothed from.
         result: The path.
-        angles: Raw angles of the action joints, (T + 1, n_u) [rad].
+        angles: Reference angles of the action joints, (T + 1, n_u) [rad].
         arrives: Whether the raw run ended at its goal.
+        wanted: Servo targets of the raw run, (T + 1, n_u), if they are known already; their lead
+            over the angles is kept.
 
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task = task_of(log)
+    task, wanted = task_of(log), targets(log) if wanted is None else wanted
     period, last = task.config.control_period, result.spline.time[-1]
-    lead = _lead(result, np.arange(len(angles)) * period, targets(log) - angles)
+    lead = _lead(result, np.arange(len(angles)) * period, wanted - angles)
     low, high = task.limits.T
     trim = np.zeros(len(low))
     coast = (angles[-1] - angles[-2]) * arrives
+    time = np.minimum((np.arange(len(angles)) + 1) * period, last)
+    path = result.spline(time)
+    ahead, at_rest = np.clip(path + lead(time), low, high), path[-1] + lead(last)
 
     def act(step: int, drive: Drive) -> Array:
         nonlocal trim
-        at = min((step + 1) * period, last)
-        if (
-            step * period >= last
-        ):  # friction, and what the raw run's motion added to its lead, would stay as an error
-            share = min((step - len(angles) + 2) / COAST, 1.0)
-            trim = trim + TRIM * (result.spline(last) + share * coast - drive.angles)
-        return drive.action_to(np.clip(result.spline(at) + lead(at) + trim, low, high))
+        now = min(step, len(time) - 1)
+        if step * period < last:
+            return drive.action_to(ahead[now])
+        # Friction, and what the raw run's motion added to its lead, would stay as an error.
+        share = min((step - len(angles) + 2) / COAST, 1.0)
+        trim = trim + TRIM * (path[-1] + share * coast - drive.angles)
+        return drive.action_to(np.clip(at_rest + trim, low, high))
 
     return run(log, act)
 
@@ -158,7 +181,7 @@ def _lead(result: Result, time: Array, ahead: Array) -> Path:
     knots = result.knots
     at_knots = np.stack([np.interp(knots.time, time, column) for column in ahead.T], axis=1)
     ends = np.zeros((2, ahead.shape[1])) if result.config.clamped else None
-    return grid_for(knots.time, result.config, ease=result.ease).fit_each(
+    return grid_for(knots.time, result.config, blend=result.blend).fit_each(
         at_knots, lam=result.lam, weight=result.weight, velocity=ends
     )
 

@@ -54,7 +54,7 @@ class Checker(Protocol):
     """Decides which configurations are allowed: collision, self-collision, balance."""
 
     def check(self, time: Floats, q: Floats, clearance: float) -> Verdict:
-        """Judge a block of configurations, in any order, independently of one another.
+        """Validator a block of configurations, in any order, independently of one another.
 
         Args:
             time: Time of each configuration within the path [s], shape (n,); for whatever else
@@ -116,7 +116,7 @@ class MovingChecker(Checker, Protocol):
     """
 
     def moving(self, time: Floats, q: Floats, velocity: Floats, acceleration: Floats) -> Verdict:
-        """Judge a block of states, (n, n_j) each in rad, rad/s and rad/s².
+        """Validator a block of states, (n, n_j) each in rad, rad/s and rad/s².
 
         Depths [m] are comparable among themselves.
         """

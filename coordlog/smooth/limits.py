@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from coordlog.errors import SpecError
 from coordlog.path import Floats, Path
-from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
+from coordlog.smooth.violations import NONE, Kind, Violations, violations
 
 _TOLERANCE = 1e-3  # rad or m
 _SHARE = 1e-2  # of the range
@@ -32,13 +32,13 @@ class Limits:
     """Largest |q'| [rad/s]."""
     acceleration: ArrayLike | None = None
     """Largest |q''| [rad/s²]."""
-    pace: ArrayLike | None = None
+    nominal_speed: ArrayLike | None = None
     """Largest |q'| [rad/s] that longer soft ends may ask for; None: as far as `speed` goes."""
     tolerance: ArrayLike | None = None
     """Overshoot of the range that is let pass: joint stops of a simulator are soft, and logs ride
     them. None: a hundredth of each joint's range, at most 1e-3 (rad, m)."""
 
-    def widths(self, n_j: int) -> tuple[Floats, Floats, Floats, Floats]:
+    def bounds(self, n_j: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Lower, upper (tolerance included), speed and acceleration as arrays of shape (n_j,),
         infinite where unlimited.
 
@@ -61,13 +61,18 @@ class Limits:
             tolerance = _each("tolerance", self.tolerance, 0.0, n_j)
         return lower - tolerance, upper + tolerance, speed, acceleration
 
-    def paces(self, n_j: int) -> Floats:
-        """The pace as an array of shape (n_j,).
+    def nominal_speeds(self, n_j: int) -> Floats:
+        """The nominal speed as an array of shape (n_j,).
 
         Raises:
             SpecError: if it has another shape or is NaN.
         """
-        return _each("pace", self.speed if self.pace is None else self.pace, np.inf, n_j)
+        return _each(
+            "nominal_speed",
+            self.speed if self.nominal_speed is None else self.nominal_speed,
+            np.inf,
+            n_j,
+        )
 
 
 def _each(name: str, value: ArrayLike | None, otherwise: float, n_j: int) -> Floats:
@@ -79,14 +84,14 @@ def _each(name: str, value: ArrayLike | None, otherwise: float, n_j: int) -> Flo
     return np.broadcast_to(array, (n_j,))
 
 
-def limit_breaches(spline: Path, widths: tuple[Floats, Floats, Floats, Floats]) -> Breaches:
+def limit_violations(spline: Path, bounds: tuple[Floats, Floats, Floats, Floats]) -> Violations:
     """Every stretch and joint of a spline that leaves its limits, at the extremum.
 
     Args:
         spline: The path.
-        widths: As from `Limits.widths`.
+        bounds: As from `Limits.bounds`.
     """
-    lower, upper, speed, acceleration = widths
+    lower, upper, speed, acceleration = bounds
     h = np.diff(spline.time)[:, None]
     a, b, u, v = (
         spline.position[:-1],
@@ -97,7 +102,7 @@ def limit_breaches(spline: Path, widths: tuple[Floats, Floats, Floats, Floats]) 
     middle = (
         3.0 * (b - a) / h - u - v
     )  # Bernstein coefficients of the speed are u, middle, v: its hull
-    found = _range_breaches(spline, h, lower, upper)
+    found = _range_violations(spline, h, lower, upper)
     if (
         np.isfinite(speed).any()
         and (np.maximum(np.maximum(abs(u), abs(v)), abs(middle)) > speed).any()
@@ -121,7 +126,7 @@ def limit_breaches(spline: Path, widths: tuple[Floats, Floats, Floats, Floats]) 
     return found
 
 
-def _range_breaches(spline: Path, h: Floats, lower: Floats, upper: Floats) -> Breaches:
+def _range_violations(spline: Path, h: Floats, lower: Floats, upper: Floats) -> Violations:
     """Stretches outside the range, from the roots of the derivative, asked only where the control
     polygon leaves it.
     """
@@ -143,7 +148,7 @@ def _range_breaches(spline: Path, h: Floats, lower: Floats, upper: Floats) -> Br
     worst, every = over.argmax(axis=0), np.arange(len(piece))
     depth, x = over[worst, every], x[worst, every]
     out = depth > 0.0
-    return breaches(Kind.RANGE, (spline.time[piece] + x)[out], depth[out], joint[out])
+    return violations(Kind.RANGE, (spline.time[piece] + x)[out], depth[out], joint[out])
 
 
 def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
@@ -164,9 +169,9 @@ def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
     return np.take_along_axis(x, worst, 0)[0], np.take_along_axis(size, worst, 0)[0]
 
 
-def _over(kind: Kind, spline: Path, x: Floats, size: Floats, limit: Floats) -> Breaches:
-    """Breaches where `size` (n - 1, n_j), reached x seconds into the stretch, exceeds its limit."""
+def _over(kind: Kind, spline: Path, x: Floats, size: Floats, limit: Floats) -> Violations:
+    """Violations where `size` (n - 1, n_j), reached x seconds into the stretch, exceeds its limit."""
     piece, joint = np.nonzero(size > limit * (1.0 + 1e-9))
-    return breaches(
+    return violations(
         kind, spline.time[piece] + x[piece, joint], size[piece, joint] - limit[joint], joint
     )

@@ -1,4 +1,6 @@
-"""The default method: as smooth as can be everywhere, and closer to the samples only where a rule
+"""Methods with one cut-off for all joints.
+
+`local`, the default: as smooth as can be everywhere, and closer to the samples only where a rule
 fails.
 
 One cut-off and one set of weights serve all joints, so whatever linear coordination the log has,
@@ -14,69 +16,76 @@ from collections.abc import Iterator
 import numpy as np
 
 from coordlog.path import Floats, Ints, Path
-from coordlog.smooth.breach import Breaches, Kind
+from coordlog.smooth.cutoff import cutoff_from_lam, lam_from_cutoff
 from coordlog.smooth.metrics import jerk_of
 from coordlog.smooth.problem import Candidate, Problem
+from coordlog.smooth.violations import Kind, Violations
 
 _ROUNDS = (
     100  # each halves the distance to the samples somewhere; 30 take a radian below a nanoradian
 )
-_PATIENCE = 12  # rounds for which a breach that the raw path commits too is fought, or one only the certificate sees
+# Rounds against a violation that the reference has too, or one only the certificate sees.
+_PATIENCE = 12
 _SPREAD = 6  # times a knot is named before the knots next to it are drawn on too
 _STIFF = 1e-24  # rad per unit of force: weights grow no further
-_WORTH = 0.95  # of the jerk: what a longer ease must come down to, being another path to prove
+_WORTH = 0.95  # of the jerk: what a longer blend must come down to, being another path to prove
+_STEPS = 9  # of bisection: from half a period in 150 knots to Nyquist, to within 1 %
 _INSIDE = 1.5  # of an overshoot: how far inside its range a joint's samples are moved there
 
 
 def local(problem: Problem) -> Iterator[Candidate]:
     """Yield at most one candidate: the smoothest found that every rule lets pass."""
-    found = _search(problem, lenient=False)
+    found = _search(problem, relaxed=False)
     if found is not None:
         yield found
 
 
-def _search(problem: Problem, *, lenient: bool) -> Candidate | None:
-    judge, lam = problem.judge, problem.lam_max
+def _search(problem: Problem, *, relaxed: bool) -> Candidate | None:
+    validator, lam = problem.validator, problem.lam_max
     weight, target = problem.knots.weight, problem.knots.position
-    hot, named, unproven = np.zeros(0, np.intp), np.zeros(len(weight), int), 0
+    hints, named, unproven = np.zeros(0, np.intp), np.zeros(len(weight), int), 0
     for turn in range(_ROUNDS if len(weight) > 2 else 1):
         spline = problem.fit(lam, weight=weight, target=target)
         softer = (
-            _softer(problem, spline, weight, target, lenient=lenient) if turn == 0 else None
+            _softer(problem, spline, weight, target, relaxed=relaxed) if turn == 0 else None
         )  # most logs need no more
         if softer is not None:
             return softer
-        proof = judge.early(spline, hot=hot, lenient=lenient)
+        proof = validator.early(spline, hints=hints, relaxed=relaxed)
         if not len(proof.found):
-            softer = _softer(problem, spline, weight, target, lenient=lenient) if turn > 0 else None
+            softer = _softer(problem, spline, weight, target, relaxed=relaxed) if turn > 0 else None
             return softer or problem.candidate(spline, lam, proof, weight)
-        if not lenient and turn >= _PATIENCE and judge.raw.excuses(proof.found, lenient=True).any():
-            return _search(problem, lenient=True)
+        if (
+            not relaxed
+            and turn >= _PATIENCE
+            and validator.reference.allows(proof.found, relaxed=True).any()
+        ):
+            return _search(problem, relaxed=True)
         unproven += int((proof.found.kind == Kind.UNPROVEN).any())
         if unproven > _PATIENCE:  # the log itself grazes something there
             return None
-        hot = np.union1d(hot, judge.samples.nearest(proof.found.time))
+        hints = np.union1d(hints, validator.samples.nearest(proof.found.time))
         target = _moved_inside(problem, target, proof.found)
         weight = _raised(problem, weight, lam, _spread(named, _around(problem, proof.found.time)))
     return None
 
 
 def _softer(
-    problem: Problem, spline: Path, weight: Floats, target: Floats, *, lenient: bool
+    problem: Problem, spline: Path, weight: Floats, target: Floats, *, relaxed: bool
 ) -> Candidate | None:
-    """The same fit with its ends eased over more knots, if it is worth it: the longest ease that is
-    proven, or none.
+    """The same fit with the longest blend of its ends that is worth it and proven, or none.
 
-    An ease moves speed from the ends to the middle, so the pace that the joints can keep decides as
-    well.
+    A longer blend moves speed from the ends to the middle, so the nominal speed limits it as well.
     """
     worth = _WORTH * jerk_of(spline, problem.knots)
-    for eased in problem.eased():
-        softer = eased.fit(problem.lam_max, weight=weight, target=target)
-        if jerk_of(softer, problem.knots) < worth and not problem.judge.outpaces(softer):
-            proof = problem.judge.early(softer, lenient=lenient)
+    for blended in problem.blended():
+        softer = blended.fit(problem.lam_max, weight=weight, target=target)
+        if jerk_of(softer, problem.knots) < worth and not problem.validator.exceeds_nominal_speed(
+            softer
+        ):
+            proof = problem.validator.early(softer, relaxed=relaxed)
             if not len(proof.found):
-                return eased.candidate(softer, problem.lam_max, proof, weight)
+                return blended.candidate(softer, problem.lam_max, proof, weight)
     return None
 
 
@@ -92,7 +101,7 @@ def _spread(named: Ints, knots: Ints) -> Ints:
     """Knots to draw on: those named, and the wider around them the more often they were (counted in
     `named`).
 
-    Holding the two knots beside a breach does not hold the path between them: its slopes there
+    Holding the two knots beside a violation does not hold the path between them: its slopes there
     belong to their neighbours.
     """
     knots = np.unique(knots)
@@ -119,7 +128,7 @@ def _raised(problem: Problem, weight: Floats, lam: float, at: Ints) -> Floats:
     return raised
 
 
-def _moved_inside(problem: Problem, target: Floats, found: Breaches) -> Floats:
+def _moved_inside(problem: Problem, target: Floats, found: Violations) -> Floats:
     """Samples moved inward where the path leaves a joint's range.
 
     A log that rides a limit gives it nowhere to go.
@@ -130,5 +139,38 @@ def _moved_inside(problem: Problem, target: Floats, found: Breaches) -> Floats:
     shift = np.zeros_like(target)
     for knot in _around(problem, found.time):
         np.maximum.at(shift, (knot, found.what), _INSIDE * found.depth)
-    lower, upper = problem.judge.widths[:2]
+    lower, upper = problem.validator.bounds[:2]
     return np.where(target > 0.5 * (lower + upper), target - shift, target + shift)
+
+
+def shared(problem: Problem) -> Iterator[Candidate]:
+    """Yield proven candidates of one cut-off and no weights, each smoother than the one before.
+
+    Bisection in log frequency. Feasibility is not monotone in the cut-off, so it finds one edge of
+    it, not the lowest of all.
+    """
+    unit = problem.grid.unit
+    low, high = float(cutoff_from_lam(problem.lam_max, unit)), 0.5 / unit
+    lowest = _proven(problem, low)
+    if lowest is not None:
+        yield lowest
+        return
+    highest = _proven(problem, high)
+    if highest is None:
+        return
+    yield highest
+    for _ in range(_STEPS):
+        middle = float(np.sqrt(low * high))
+        candidate = _proven(problem, middle)
+        if candidate is None:
+            low = middle
+        else:
+            high = middle
+            yield candidate
+
+
+def _proven(problem: Problem, cutoff: float) -> Candidate | None:
+    lam = float(lam_from_cutoff(cutoff, problem.grid.unit))
+    spline = problem.fit(lam)
+    proof = problem.validator.validate(spline, relaxed=True)
+    return None if len(proof.found) else problem.candidate(spline, lam, proof)

@@ -31,7 +31,7 @@ def paper(problem: Problem) -> Iterator[Candidate]:
         spline = problem.grid.fit_each(
             problem.knots.position, lam=lam, weight=problem.knots.weight, velocity=problem.velocity
         )
-        proof = problem.judge.prove(spline, lenient=True)
+        proof = problem.validator.validate(spline, relaxed=True)
         if not len(proof.found):
             yield problem.candidate(spline, lam, proof)
 
@@ -78,7 +78,7 @@ class _Knots:
 
     def __init__(self, problem: Problem) -> None:
         self.path = problem.knots.position.copy()
-        self._problem, self._asked = problem, problem.judge.asked
+        self._problem, self._queries = problem, problem.validator.queries
         self._time, self._clearance = problem.knots.time, problem.config.clearance
         self._failed = np.zeros(len(self.path), bool)  # those that failed last
         self._times = np.zeros(
@@ -95,8 +95,8 @@ class _Knots:
         ):
             return False
         self._reference = self.path.copy()
-        if self._asked.measures:
-            self._slack = self._asked.slack(self._time, self.path, self._clearance)
+        if self._queries.measures:
+            self._slack = self._queries.slack(self._time, self.path, self._clearance)
         return True
 
     def turn_to(self, joint: int) -> None:
@@ -127,17 +127,19 @@ class _Knots:
 
     def _measure(self, index: Ints, path: Floats) -> None:
         """Make new references of a trial: the next ones will be near it."""
-        if self._asked.measures:
-            self._slack[index] = self._asked.slack(self._time[index], path[index], self._clearance)
+        if self._queries.measures:
+            self._slack[index] = self._queries.slack(
+                self._time[index], path[index], self._clearance
+            )
             self._reference[index] = path[index]
             self._times[index] = 0
             self._bound(index)
 
     def _bound(self, index: Ints) -> None:
         """Turn slack into room for the joint at hand, the other joints standing where they are."""
-        if not self._asked.measures or not self._asked.reach.size:
+        if not self._queries.measures or not self._queries.reach.size:
             return
-        reach, joint = self._asked.reach, self._joint
+        reach, joint = self._queries.reach, self._joint
         pairs = np.flatnonzero(
             reach[:, joint] > 0.0
         )  # the others do not notice, and are free as the path stands
@@ -149,7 +151,7 @@ class _Knots:
     def _ask(self, index: Ints, path: Floats) -> bool:
         for block in (index[i : i + _BLOCK] for i in range(0, len(index), _BLOCK)):
             self._times[block] += 1
-            free = self._asked.check(self._time[block], path[block], self._clearance).free
+            free = self._queries.check(self._time[block], path[block], self._clearance).free
             if not free.all():
                 self._failed[:] = False
                 self._failed[block[~free]] = True
@@ -157,7 +159,7 @@ class _Knots:
         return True
 
     def _within(self, joint: int | slice, values: Floats) -> bool:
-        lower, upper = self._problem.judge.widths[:2]
+        lower, upper = self._problem.validator.bounds[:2]
         farthest = self._problem.config.farthest(len(lower))[joint]
         inside = bool(((values >= lower[joint]) & (values <= upper[joint])).all())
         away = abs(values - self._problem.knots.position[:, joint])

@@ -1,4 +1,4 @@
-"""One path to smooth: what all three methods work on, and what they hand back."""
+"""One path to smooth: the input of all three methods, and their result."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from coordlog.path import Floats, Path
+from coordlog.smooth.blending import BLEND, LONGER_BLENDS, grid_for
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
-from coordlog.smooth.ease import EASE, LONGER, grid_for
-from coordlog.smooth.judge import Judge, Proof
 from coordlog.smooth.knots import Knots
 from coordlog.smooth.spline import Grid
+from coordlog.smooth.validator import Proof, Validator
 
 _LAM_MAX = (
     1e12  # knots³, a period of 6 000 knots; beyond it double precision leaves noise in the jerk
@@ -28,8 +28,8 @@ class Candidate:
     lam: Floats  # (n_j,) s³
     weight: Floats  # (K,)
     proof: Proof
-    ease: int
-    """Knots over which soft ends are eased."""
+    blend: int
+    """Knots over which soft ends are blended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,25 +37,25 @@ class Problem:
     """Knots, rules and options of one path."""
 
     knots: Knots
-    raw: Path
+    reference: Path
     """The interpolant of the knots, with the same ends: what a candidate is compared with, and
     replaced by."""
     grid: Grid
     velocity: Floats | None
     """Slopes at the ends, (2, n_j) rad/s; None: natural ends."""
-    judge: Judge
+    validator: Validator
     config: Config
-    ease: int = EASE
-    """Knots over which the grid eases soft ends."""
+    blend: int = BLEND
+    """Knots over which the grid blends soft ends."""
 
-    def eased(self) -> Iterator[Problem]:
-        """The same with soft ends eased over more knots, as far as the path is long enough to tell,
+    def blended(self) -> Iterator[Problem]:
+        """The same with soft ends blended over more knots, as far as the path is long enough to tell,
         the longest first.
         """
-        for shorter, ease in zip((*LONGER[1:], EASE), LONGER, strict=False):
+        for shorter, blend in zip((*LONGER_BLENDS[1:], BLEND), LONGER_BLENDS, strict=False):
             if self.config.ends == "soft" and 2 * shorter < len(self.knots.time):
                 yield replace(
-                    self, grid=grid_for(self.knots.time, self.config, ease=ease), ease=ease
+                    self, grid=grid_for(self.knots.time, self.config, blend=blend), blend=blend
                 )
 
     def fit(
@@ -75,13 +75,13 @@ class Problem:
     @property
     def lam_max(self) -> float:
         """λ [s³] of the lowest cut-off asked for; "max" is half a period in the whole path."""
-        asked = (
+        lowest = (
             0.5 / (self.knots.time[-1] - self.knots.time[0])
             if self.config.cutoff == "max"
             else float(self.config.cutoff)
         )
         unit = self.knots.unit
-        return min(float(lam_from_cutoff(asked, unit)), _LAM_MAX * unit**3)
+        return min(float(lam_from_cutoff(lowest, unit)), _LAM_MAX * unit**3)
 
     def candidate(
         self, spline: Path, lam: float | Floats, proof: Proof, weight: Floats | None = None
@@ -89,5 +89,5 @@ class Problem:
         """Wrap up a path that was proven."""
         each = np.broadcast_to(np.asarray(lam, dtype=float), self.knots.position.shape[1:])
         return Candidate(
-            spline, each, self.knots.weight if weight is None else weight, proof, self.ease
+            spline, each, self.knots.weight if weight is None else weight, proof, self.blend
         )

@@ -21,7 +21,7 @@ PARTLY = "partly"
 """Proven free of collision, but not all that was asked for could be had: clearance, speed or
 acceleration that the log lacks too, or a joint that had to stay as in the log. The reason names
 it."""
-KEPT_RAW = "kept_raw"
+FALLBACK = "kept_raw"
 """Nothing smoother could be proven: the path is the log's."""
 RAW_INFEASIBLE = "raw_infeasible"
 """The log itself breaks a rule, and so does the path, smoothed or not: the same rule, about then,
@@ -38,42 +38,51 @@ class Violation(NamedTuple):
     what: str
     """The pair as the checker describes it, or the joint."""
     depth: float
-    """By how much: m for contact and motion, otherwise rad, rad/s, rad/s²."""
+    """By how much: m for contact and motion, otherwise the unit of the joint, per s, per s²."""
+    unit: str = "rad"
+    """rad or m."""
 
     def __str__(self) -> str:
         """As part of a sentence."""
         if self.kind == "unproven":
             return f"{self.what} at {self.time:.3f} s, too close to be proven free"
-        unit = {"contact": "m too close", "range": "rad out of range", "speed": "rad/s too fast"}
-        unit |= {
-            "acceleration": "rad/s² too much acceleration",
-            "deviation": "rad too far from the log",
+        words = {
+            "contact": "m too close",
+            "range": f"{self.unit} out of range",
+            "speed": f"{self.unit}/s too fast",
+            "acceleration": f"{self.unit}/s² too much acceleration",
+            "deviation": f"{self.unit} too far from the log",
             "motion": "m too close while moving",
         }
-        return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {unit[self.kind]}"
+        return f"{self.what} at {self.time:.3f} s, {self.depth:.2g} {words[self.kind]}"
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A smoothed path, or the raw one and the reason."""
+    """A smoothed path, or the log's own interpolant and the reason.
+
+    Example:
+        >>> result = smooth(time, q, checker)  # doctest: +SKIP
+        >>> result.status, result.spline(0.5), result.deviation  # doctest: +SKIP
+    """
 
     status: str
     """smoothed, partly, kept_raw or raw_infeasible."""
     reason: str
     """One sentence; "" when smoothed."""
     violation: Violation | None
-    """The breach that the reason speaks of."""
+    """The violation that the reason speaks of."""
     certified: bool
     """Proven free between samples too: at the clearance asked, or without touching for the pairs
     that fall short of it."""
     spline: Path
-    raw: Path
+    reference: Path
     """The interpolant of the knots with the same ends, which the figures `before` are of."""
     knots: Knots
     weight: Floats  # (K,) fidelity weights of the fit; infinite at the ends
     lam: Floats  # (n_j,) s³, 0 for a joint left raw
-    ease: int
-    """Knots over which soft ends are eased."""
+    blend: int
+    """Knots over which soft ends are blended."""
     checks: int
     """Configurations the checker decided on."""
     slacks: int
@@ -94,8 +103,8 @@ class Result:
 
     @cached_property
     def before(self) -> Metrics:
-        """Figures of the raw path."""
-        return measure(self.raw, self.knots)
+        """Figures of the reference: the log's own interpolant."""
+        return measure(self.reference, self.knots)
 
     @cached_property
     def after(self) -> Metrics:

@@ -91,7 +91,7 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
         SpecError: naming what differs.
     """
     for key in SAME:
-        if first[key] != other[key]:
+        if _seen(first[key]) != _seen(other[key]):
             raise SpecError(
                 f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
             )
@@ -100,6 +100,11 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
         raise SpecError(
             f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train on logs of one period at a time"
         )
+
+
+def _seen(value: object) -> object:
+    """What learning sees of an entry: files of version 1 do not count actuators."""
+    return {k: v for k, v in value.items() if k != "n_c"} if isinstance(value, dict) else value
 
 
 def _rewards(

@@ -22,7 +22,7 @@ Row = dict[str, float | int | str | None]
 
 MOST = 512 << 20
 """Largest file of metrics that is read [bytes]."""
-WORDS = ("kind", "name", "advice")
+WORDS = ("kind", "name", "advice", "touched")
 """Keys of a row that hold a text."""
 COUNTS = ("update", "step")
 """Keys that are counts."""

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.interpolate import CubicHermiteSpline
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import StorageError
 from coordlog.kinematics.geometry import Geometry
+from coordlog.path import Path as Spline
 from coordlog.robots.robot import Robot
 from coordlog.view.palette import ARMS, JOINTS, Colour, cycle
 
@@ -154,7 +154,7 @@ def _angles(
         time = _fine(path.time)
         axes.plot(
             time,
-            CubicHermiteSpline(path.time, path.position[:, joint], path.velocity[:, joint])(time),
+            Spline(path.time, path.position, path.velocity)(time)[:, joint],
             color=colour,
             label=label,
         )
@@ -180,7 +180,7 @@ def _palms(
                 alpha=0.6,
             )
             time = _fine(path.time)
-            curve = CubicHermiteSpline(path.time, path.position, path.velocity)(time)
+            curve = Spline(path.time, path.position, path.velocity)(time)
             axes.plot(
                 *geometry.palms_of(curve, time, episode)[:, i].T,
                 color=colour,

@@ -155,6 +155,8 @@ def draw_floor(draft: Draft, stage: Stage) -> None:
 def draw_goals(draft: Draft, stage: Stage) -> None:
     """Log the palm targets as wire spheres of the goal radius, in their arms' colours."""
     goals = np.array(stage.episode.header.episode["goals"])
+    if not len(goals):  # of an environment that is not ours
+        return
     radius = float(stage.episode.header.env["config"]["goal_radius"])
     colours = [palette.cycle(palette.ARMS, i) for i in range(len(goals))]
     wire, sizes = [rr.components.FillMode.MajorWireframe], np.full((len(goals), 3), radius)

@@ -10,11 +10,11 @@ from functools import cached_property
 
 import numpy as np
 import rerun as rr
-from scipy.interpolate import CubicHermiteSpline
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import ConfigError
 from coordlog.kinematics.geometry import Geometry, Motion
+from coordlog.path import Path as Spline
 from coordlog.robots.robot import Robot
 
 TIMELINE = "sim_time"
@@ -105,7 +105,7 @@ class Stage:
             return None
         steps = np.diff(path.time)[:, None] * (np.arange(SPLINE_PARTS) / SPLINE_PARTS)
         time = np.append((path.time[:-1, None] + steps).ravel(), path.time[-1])
-        position = CubicHermiteSpline(path.time, path.position, path.velocity)(time)
+        position = Spline(path.time, path.position, path.velocity)(time)
         position[::SPLINE_PARTS] = path.position
         return time, np.asarray(position)
 

@@ -74,6 +74,8 @@ def ours(options: argparse.Namespace, gradient: str, seed: int, folder: Path) ->
         "train",
         "--scene",
         options.scene,
+        "--preset",
+        "default",  # the peer decides every 0.04 s, too
         "--steps",
         str(options.steps),
         "--seed",

@@ -30,7 +30,6 @@ from scipy.spatial import ConvexHull
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from coordlog.commands.smoothing import FASTER, fastest_of
 from coordlog.episode import INITIAL_STATE, MODEL_XML
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.mjcf import load_model
@@ -42,7 +41,8 @@ from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
 from coordlog.smooth.knots import clean
 from coordlog.smooth.limits import Limits
-from coordlog.smooth.load import PathLoad
+from coordlog.smooth.metrics import PathLoad
+from coordlog.smooth.recorded import FASTER, fastest_of
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.scene import sole_corner
 from tests.plain import BOX, Plain, between, rotate, to_shape
@@ -230,7 +230,7 @@ def limits_of(bench):
         bench.task.limits[:, 0],
         bench.task.limits[:, 1],
         speed=FASTER * np.maximum(bench.task.speeds, fastest),
-        pace=bench.task.speeds,
+        nominal_speed=bench.task.speeds,
     )
 
 
@@ -271,7 +271,7 @@ def measure(bench, *, with_peers, with_plain):
             "found": result.status,
             "certified": result.certified,
             "checks": result.checks + result.slacks,
-            "ease": result.ease,
+            "ease": result.blend,
         }
     like = results["local, 5 mm"]
     scene = peers.PlainScene(

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordlog.smooth import Path, Unobstructed, Verdict, fit
-from coordlog.smooth.breach import Kind
 from coordlog.smooth.certificate import certify
+from coordlog.smooth.violations import Kind
 from tests.smooth.planar import PlanarArm
 
 

@@ -15,7 +15,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log, LogEnv, replay, task_of
 from coordlog.sim.rollout import rollout
 from coordlog.sim.tracking import Drive, run, targets
-from coordlog.smooth.execute import execute, worse
+from coordlog.smooth.execute import execute, logged_torques, worse
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.scene import find
@@ -145,6 +145,13 @@ def test_what_was_executed_replays_to_the_same_bits(table):
     (trace,) = replay([Log(log.header, log.model, log.start, done.columns["action"])])
     for name, column in trace.columns.items():
         assert column.tobytes() == done.columns[name].tobytes(), name
+
+
+def test_torques_of_a_log_without_them_are_those_of_its_simulation(table):
+    log, episode, _ = table
+    again = run(log, lambda step, _: log.action[step], steps=len(log.action))
+    found = logged_torques(log, episode, targets(log))
+    np.testing.assert_array_equal(found, again.torque)
 
 
 def test_a_raw_path_is_not_executed(table):

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from coordlog.errors import SpecError
 from coordlog.smooth import Limits, Path
-from coordlog.smooth.breach import Kind
-from coordlog.smooth.limits import limit_breaches
+from coordlog.smooth.limits import limit_violations
+from coordlog.smooth.violations import Kind
 
 
 def path(seed, n=7, joints=2):
@@ -31,7 +31,7 @@ def test_no_sample_exceeds_what_is_reported_and_every_report_is_real(seed):
     limits = Limits(
         lower=-0.8, upper=[0.5, 1.2], speed=[1.5, 3.0], acceleration=12.0, tolerance=0.0
     )
-    found = limit_breaches(spline, limits.widths(2))
+    found = limit_violations(spline, limits.bounds(2))
     fine = np.unique(
         np.concatenate([np.linspace(spline.time[0], spline.time[-1], 4001), spline.time])
     )
@@ -67,20 +67,20 @@ def test_overshoot_between_knots_inside_the_range_is_found():
     spline = Path(
         np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [-4.0]])
     )  # a hump of height 1
-    found = limit_breaches(spline, Limits(upper=0.9, tolerance=0.0).widths(1))
+    found = limit_violations(spline, Limits(upper=0.9, tolerance=0.0).bounds(1))
     assert (len(found), found.time[0], found.what[0]) == (1, pytest.approx(0.5), 0)
     assert found.depth[0] == pytest.approx(0.1)
-    assert not len(limit_breaches(spline, Limits(upper=1.0, tolerance=0.0).widths(1)))
+    assert not len(limit_violations(spline, Limits(upper=1.0, tolerance=0.0).bounds(1)))
 
 
 def test_soft_joint_stops_are_tolerated_by_a_milliradian():
     spline = Path(np.array([0.0, 1.0]), np.array([[0.0], [1.0009]]), np.zeros((2, 1)))
-    assert not len(limit_breaches(spline, Limits(upper=1.0).widths(1)))
-    assert len(limit_breaches(spline, Limits(upper=1.0, tolerance=0.0).widths(1)))
+    assert not len(limit_violations(spline, Limits(upper=1.0).bounds(1)))
+    assert len(limit_violations(spline, Limits(upper=1.0, tolerance=0.0).bounds(1)))
 
 
 def test_none_is_no_limit():
-    assert not len(limit_breaches(path(0), Limits().widths(2)))
+    assert not len(limit_violations(path(0), Limits().bounds(2)))
 
 
 @pytest.mark.parametrize(
@@ -94,4 +94,4 @@ def test_none_is_no_limit():
 )
 def test_bad_limits_are_refused(limits, message):
     with pytest.raises(SpecError, match=message):
-        limits.widths(2)
+        limits.bounds(2)

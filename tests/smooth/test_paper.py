@@ -7,7 +7,7 @@ from csaps import csaps
 from coordlog.smooth import Limits, Unobstructed, smooth
 from coordlog.smooth.cutoff import p_from_lam
 from coordlog.smooth.paper import _Knots, search
-from coordlog.smooth.smoother import Config, _end_slopes, _problem, clean
+from coordlog.smooth.smoother import Config, _problem, clean
 from tests.smooth.planar import PlanarArm, noisy_log
 
 
@@ -42,7 +42,7 @@ def plainly(time, q, checker, *, precision=1e-6):
 
 def problem(time, q, checker, limits=None, **options):
     config, knots = Config.of(method="paper", **options), clean(time, q)
-    return _problem(knots, checker, limits or Limits(), _end_slopes(config, knots, None), config)
+    return _problem(knots, checker, limits or Limits(), config)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -52,7 +52,7 @@ def test_same_p_as_the_plain_search(seed):
     arm.asked = 0
     fast = problem(time, q, arm)
     np.testing.assert_allclose(p_from_lam(search(fast), time[1]), expected, rtol=0, atol=1e-6)
-    assert fast.judge.asked.checks + fast.judge.asked.slacks < 0.15 * 5 * 20 * 60
+    assert fast.validator.queries.checks + fast.validator.queries.slacks < 0.15 * 5 * 20 * 60
 
 
 class Sum(Unobstructed):
@@ -100,9 +100,9 @@ def test_a_knot_is_asked_about_as_soon_as_it_moves_beyond_its_slack():
                 values[knot] += turned
                 assert knots.free(values) == free
         knots.accept(knots.path[:, joint] + 0.05)
-    asked = knots._asked.checks
+    asked = knots._queries.checks
     assert knots.free(knots.path[:, 1] + 1e-6)  # nothing to ask
-    assert knots._asked.checks == asked
+    assert knots._queries.checks == asked
 
 
 def test_without_distances_the_p_is_the_same_too():
@@ -114,7 +114,7 @@ def test_without_distances_the_p_is_the_same_too():
     with_slack = search(problem(time, q, arm))
     without = problem(time, q, Plain(), certify=False)
     np.testing.assert_array_equal(search(without), with_slack)
-    assert without.judge.asked.slacks == 0
+    assert without.validator.queries.slacks == 0
 
 
 def test_nothing_in_the_way_smooths_to_the_precision():

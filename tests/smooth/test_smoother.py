@@ -13,8 +13,8 @@ from coordlog.errors import ConfigError, SpecError
 from coordlog.smooth import Limits, Unobstructed, Verdict, smooth
 from coordlog.smooth.config import Config
 from coordlog.smooth.cutoff import lam_from_cutoff
-from coordlog.smooth.judge import Judge
 from coordlog.smooth.knots import clean
+from coordlog.smooth.validator import Validator
 from tests.smooth.planar import PlanarArm, noisy_log
 
 FREE = Unobstructed(2)
@@ -202,10 +202,10 @@ def test_a_pair_excused_hides_no_other(certify):
             return np.full((len(start), 2), 5.0)
 
     knots, config = clean(time, q), Config(clearance=0.05, certify=certify)
-    judge = Judge(
+    validator = Validator(
         Both(None), knots, coordlog.smooth.fit(time, q, lam=0.0), limits=Limits(), config=config
     )
-    proof = judge.prove(
+    proof = validator.validate(
         coordlog.smooth.fit(time, q * [1.0, 0.67], lam=0.0)
     )  # 25 mm short of the right wall
     assert set(proof.found.what) == {1}

@@ -129,3 +129,13 @@ def test_a_log_that_cannot_be_read_or_written_is_an_error(tmp_path: Path) -> Non
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="cannot be written"):
         MetricsLog(tmp_path / "file" / "metrics.jsonl")
+
+
+def test_what_an_evaluation_touched_first_is_a_word(tmp_path: Path) -> None:
+    log = MetricsLog(tmp_path / "metrics.jsonl")
+    row = {"kind": "evaluation", "update": 3, "step": 8, "clean": 0.5, "touched": "table and arm"}
+    log.write(dict(row))
+    assert read_metrics(log.path) == [row]
+    log.write({**row, "clean": "half"})
+    with pytest.raises(FormatError, match="line 2 is not a row of metrics: 'clean'"):
+        read_metrics(log.path)

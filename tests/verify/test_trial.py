@@ -57,8 +57,10 @@ def test_one_that_takes_too_long_or_crashes_is_a_finding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = with_model(tmp_path, "a.mcap", '<replicate count="3"><geom size="1"/></replicate>')
+    monkeypatch.setattr(trial, "_tried_before", {})
     monkeypatch.setattr(trial, "_in_a_child", lambda _: (1e-5, 1.0))
     assert "to replay" in trial.runnable([path])[0].got
+    monkeypatch.setattr(trial, "_tried_before", {})
     monkeypatch.setattr(trial, "_in_a_child", lambda _: "one that crashes MuJoCo (signal 11)")
     assert "crashes" in trial.runnable([path])[0].got
 

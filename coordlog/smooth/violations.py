@@ -23,8 +23,8 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Breaches:
-    """All breaches found in one look at a path, arrays of shape (m,)."""
+class Violations:
+    """All violations found in one look at a path, arrays of shape (m,)."""
 
     kind: Ints
     time: Floats  # s
@@ -32,16 +32,16 @@ class Breaches:
     what: Ints  # index of the pair (CONTACT, UNPROVEN) or of the joint
 
     def __len__(self) -> int:
-        """Number of breaches m."""
+        """Number of violations m."""
         return len(self.kind)
 
-    def __getitem__(self, index: object) -> Breaches:
+    def __getitem__(self, index: object) -> Violations:
         """Those that a mask or index array picks."""
-        return Breaches(*(getattr(self, field.name)[index] for field in fields(self)))
+        return Violations(*(getattr(self, field.name)[index] for field in fields(self)))
 
-    def __add__(self, other: Breaches) -> Breaches:
+    def __add__(self, other: Violations) -> Violations:
         """Both."""
-        return Breaches(
+        return Violations(
             *(
                 np.concatenate([getattr(self, field.name), getattr(other, field.name)])
                 for field in fields(self)
@@ -49,10 +49,10 @@ class Breaches:
         )
 
 
-def breaches(kind: Kind, time: Floats, depth: Floats, what: Ints) -> Breaches:
-    """Breaches that are all of one kind."""
-    return Breaches(np.full(len(time), int(kind)), time, depth, what)
+def violations(kind: Kind, time: Floats, depth: Floats, what: Ints) -> Violations:
+    """Violations that are all of one kind."""
+    return Violations(np.full(len(time), int(kind)), time, depth, what)
 
 
-NONE = breaches(Kind.CONTACT, np.zeros(0), np.zeros(0), np.zeros(0, np.intp))
-"""No breach at all."""
+NONE = violations(Kind.CONTACT, np.zeros(0), np.zeros(0), np.zeros(0, np.intp))
+"""No violation at all."""

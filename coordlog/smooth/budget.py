@@ -1,4 +1,4 @@
-"""What asking a checker costs: configurations counted, and a budget kept."""
+"""Query budget: configurations that a checker is asked about are counted, and limited."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from coordlog.errors import SpecError
 from coordlog.path import Floats, Path
-from coordlog.smooth.breach import NONE, Breaches, Kind, breaches
 from coordlog.smooth.feasibility import Checker, DistanceChecker, MovingChecker, Verdict
+from coordlog.smooth.violations import NONE, Kind, Violations, violations
 
 
 class BudgetSpentError(Exception):
-    """The checker has been asked as often as was allowed."""
+    """The query budget is used up."""
 
 
-class Counted:
+class CountedChecker:
     """A checker that counts the configurations it is asked about, and stops at a budget."""
 
     def __init__(self, checker: Checker) -> None:
@@ -55,7 +55,7 @@ class Counted:
         assert self._distances is not None
         return self._distances.drift(start, stop)
 
-    def moving(self, path: Path) -> Breaches:
+    def moving(self, path: Path) -> Violations:
         """Ask `MovingChecker.moving` at the knots of a path; nothing where the checker has no such
         rule.
 
@@ -69,13 +69,13 @@ class Counted:
         verdict = self._moving.moving(path.time, path.position, path.velocity, path(path.time, 2))
         _expect(verdict, len(path.time), "moving")
         free, depth, what = verdict
-        return breaches(Kind.MOTION, path.time[~free], depth[~free], what[~free])
+        return violations(Kind.MOTION, path.time[~free], depth[~free], what[~free])
 
-    def worst(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+    def worst(self, time: Floats, q: Floats, clearance: float) -> Violations:
         """Ask `check`; the worst pair of each configuration that is not free."""
         return _refused(time, self.check(time, q, clearance))
 
-    def every(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+    def every(self, time: Floats, q: Floats, clearance: float) -> Violations:
         """Every pair that falls short, if the checker can tell.
 
         Otherwise the worst of each configuration.
@@ -86,7 +86,7 @@ class Counted:
             else self.worst(time, q, clearance)
         )
 
-    def try_on(self, time: Floats, q: Floats, clearance: float) -> Breaches:
+    def try_on(self, time: Floats, q: Floats, clearance: float) -> Violations:
         """Ask as `every`, and look at the shapes of all answers before they are relied on.
 
         Raises:
@@ -117,11 +117,11 @@ def _expect(verdict: Verdict, n: int, name: str) -> None:
         )
 
 
-def _refused(time: Floats, verdict: Verdict) -> Breaches:
+def _refused(time: Floats, verdict: Verdict) -> Violations:
     free, depth, what = verdict
-    return breaches(Kind.CONTACT, time[~free], depth[~free], what[~free])
+    return violations(Kind.CONTACT, time[~free], depth[~free], what[~free])
 
 
-def _short(time: Floats, slack: Floats) -> Breaches:
+def _short(time: Floats, slack: Floats) -> Violations:
     row, pair = np.nonzero(~(slack >= 0.0))  # a NaN is short
-    return breaches(Kind.CONTACT, time[row], -slack[row, pair], pair)
+    return violations(Kind.CONTACT, time[row], -slack[row, pair], pair)
