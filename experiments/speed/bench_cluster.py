@@ -24,8 +24,8 @@ from functools import partial
 from pathlib import Path
 
 from coordlog.commands.check import check_files
-from coordlog.commands.smoothing import Job, smooth_file
 from coordlog.parallel import batches, mapped
+from coordlog.smooth.batch import Job, smooth_file
 
 ROOT = Path(__file__).parents[2]
 EPISODES = sorted((ROOT / "tests" / "data" / "v1").glob("*/*.mcap"))
