@@ -19,6 +19,7 @@ from coordlog.commands import (
     import_,
     index,
     info,
+    migrate,
     pack,
     plot,
     query,
@@ -70,6 +71,7 @@ app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)
 app.command("import")(import_.import_)
+app.command("migrate")(migrate.migrate)
 
 
 def _version(wanted: bool) -> None:

@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from coordlog.errors import ConfigError, unknown
@@ -29,6 +30,8 @@ EXPECTED = {
     "none_required": "nothing",
 }
 """What was wanted, by the type of pydantic's error."""
+MOST = 1 << 20
+"""Largest configuration file that is read [bytes]."""
 PLURAL = {
     "a number": "numbers",
     "a whole number": "whole numbers",
@@ -70,6 +73,31 @@ def plain(config: Any) -> dict[str, Any]:
         key: list(value) if isinstance(value, tuple) else value
         for key, value in asdict(config).items()
     }
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a configuration file.
+
+    Raises:
+        ConfigError: if the file cannot be read or is no TOML.
+    """
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MOST + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
+    if len(data) > MOST:
+        raise ConfigError(f"{path}: expected a configuration of at most {MOST:,} bytes, got more")
+    try:
+        tables = tomllib.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise ConfigError(f"{path}: expected TOML, got one that is too deep") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise ConfigError(f"{path}: '{name}': expected a table [{name}], got {str(table)[:40]}")
+    return tables
 
 
 def parse_assignment(text: str) -> tuple[str, str, Any]:

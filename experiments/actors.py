@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from coordlog.commands.policies import about, make_policy, policy_file
 from coordlog.contracts import Policy
 from coordlog.episode import Array, Json
+from coordlog.policies.registry import about, make_policy, policy_file
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GOAL_PARTS, STATE_BOUND
 

@@ -20,12 +20,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from coordlog.commands.environment import make_env
-from coordlog.commands.policies import about, policy_file
 from coordlog.contracts import Policy
 from coordlog.episode import Json
 from coordlog.errors import CoordlogError
+from coordlog.policies.registry import about, policy_file
 from coordlog.sim.env import BatchEnv
+from coordlog.sim.making import make_env
 from experiments import tables
 from experiments.actors import FOREIGN, actor
 from experiments.measure import SEED, SPLIT, decisions, figures, run

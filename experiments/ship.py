@@ -21,8 +21,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from coordlog.commands.policies import FILES, KINDS, PRETRAINED, SHIPPED, SUFFIX, about
 from coordlog.errors import ConfigError, CoordlogError
+from coordlog.policies.registry import FILES, KINDS, PRETRAINED, SHIPPED, SUFFIX, about
 from coordlog.train.run import recall
 from experiments import tables
 from experiments.evaluate import EPISODES, HOME, RADII, evaluate

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 import coordlog
-from coordlog.commands.policies import about, policy_file
 from coordlog.episode import Episode
 from coordlog.errors import CoordlogError
+from coordlog.policies.registry import about, policy_file
 from coordlog.train.settings import PRESETS
 from experiments import cells, tables
 from experiments.cells import Tables

@@ -92,7 +92,7 @@ def make_header(layout=HUMANOID, *, start_time=START, **episode):
             "task": TASK,
             "actuators": ["a"] * layout.n_c,
             "geoms": [f"geom_{i}" for i in range(20)],
-            "arms": {name: [index] for index, name in enumerate(names)},
+            "arms": {name: [index % layout.n_u] for index, name in enumerate(names)},
             "action_joints": [f"joint_{i}" for i in range(layout.n_u)],
             "state": [f"x{i}" for i in range(layout.n_x)],
             "layout": {

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import make_env, read_toml, scene_of
-from coordlog.commands.policies import DEFAULT_SCENE, about, make_policy, policy_file
 from coordlog.commands.sink import Sink, recording_into
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 from coordlog.parallel import SHARD_HELP
@@ -107,19 +105,26 @@ def record(
 
         coordlog record --branch logs/visited --where "not clean" --out logs/corrected
     """
-    from coordlog.commands.branches import Branched, Parents
+    from coordlog.commands.logs import load_logs
+    from coordlog.config import read_toml
+    from coordlog.policies.registry import DEFAULT_SCENE, about, make_policy, policy_file
     from coordlog.policies.scripted import with_noise
+    from coordlog.record.branches import Branched, Parents
     from coordlog.record.recorder import Recorder
     from coordlog.sim.examine import scarce
+    from coordlog.sim.making import make_env
     from coordlog.sim.rollout import rollout
     from coordlog.sim.scoring import Scoreboard
+    from coordlog.tasks.own import scene_of
     from coordlog.tasks.scene import find
 
     if where and not branch:
         raise ConfigError(
             "--where: chooses among the logs of --branch, of which there are none; name their folders"
         )
-    parents = Parents(branch, where=where) if branch else None
+    parents = None
+    if branch:
+        parents = Parents(load_logs(branch, where=where, skip_broken=False, jobs=0))
     episodes = episodes or (len(parents) if parents else 10)
     asked = scene_of(scene) if scene else find(parents.scene) if parents else None
     if parents and asked and asked.name != parents.scene:
@@ -134,7 +139,15 @@ def record(
     start = parents.start if parents else start
     numbers = share(range(episodes), shard)
     envs = max(min(envs, len(numbers)), 1)
-    env = make_env(place, tables, start=start, envs=envs, threads=threads, like=like)
+    env = make_env(
+        place,
+        tables,
+        start=start,
+        envs=envs,
+        threads=threads,
+        like=like,
+        doubts=terminal.note,
+    )
     chosen, described = make_policy(policy, env, shield=shield)
     actor, described["noise"] = with_noise(chosen, env, sigma=noise, correlation=noise_correlation)
     board = Scoreboard(env.n, env.layout.k)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import scene_of
 from coordlog.errors import EXIT_CHECK_FAILED, ConfigError, StorageError
 
 if TYPE_CHECKING:
@@ -69,6 +68,8 @@ def robot(
             f"{model}: --palm, --name and --out belong to a model, expected an MJCF or URDF file"
         )
     else:
+        from coordlog.tasks.own import scene_of
+
         scene, explain = scene_of(model), True
     if explain:
         _explain(scene, draws=draws, as_json=as_json)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import scene_of
 from coordlog.errors import StorageError
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ def scenes(
 
         coordlog scenes my_robot.py:SCENE
     """
+    from coordlog.tasks.own import scene_of
     from coordlog.tasks.scene import SCENES
 
     chosen = [scene_of(name) for name in scene] if scene else list(SCENES.values())

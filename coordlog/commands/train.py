@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.environment import TABLES, read_toml, scene_of, true_scene
 from coordlog.commands.logs import load_logs
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
@@ -141,6 +140,9 @@ def train(
         tell_doubts,
         watch,
     )
+    from coordlog.config import read_toml
+    from coordlog.sim.making import true_scene
+    from coordlog.tasks.own import scene_of
     from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
     from coordlog.train.events import EventFiles, require_tensorboard
@@ -246,6 +248,7 @@ def _around(
     And the assignments that are not about these.
     """
     from coordlog.config import parse_assignment
+    from coordlog.sim.making import TABLES
 
     around, rest = {name: dict(tables.pop(name)) for name in TABLES if name in tables}, []
     for text in assignments:

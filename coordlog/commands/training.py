@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.progress import Progress as Bar
 
-from coordlog.commands.environment import make_env
 from coordlog.commands.terminal import note
 from coordlog.policies.learned import Policy
 from coordlog.record.cache import Logs
 from coordlog.record.dataset import SUFFIX
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Recorder
+from coordlog.sim.making import make_env
 from coordlog.sim.scoring import Scoreboard, figures, judged
 from coordlog.train.bind import FARTHEST, task_of
 from coordlog.train.events import EventFiles
@@ -77,7 +77,7 @@ def evaluation_envs(
         start: The first pose; the robot's others in STARTS follow.
         envs: Simulations at once.
     """
-    make = partial(make_env, scene, tables, envs=envs, threads=0, like=like, doubts=False)
+    make = partial(make_env, scene, tables, envs=envs, threads=0, like=like)
     first = make(start=start)
     others = [pose for pose in STARTS if pose != start and pose in first.scene.robot.poses]
     return {"": first, **{f"{pose}_": make(start=pose) for pose in others}}
@@ -103,7 +103,6 @@ def practising(
         envs=envs,
         threads=max(1, (os.cpu_count() or 2) - 1),
         like=like,
-        doubts=False,
     )
 
 

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import INITIAL_STATE, MODEL_XML, Array
 from coordlog.errors import CoordlogError
-from coordlog.mjcf import load_model
+from coordlog.mjcf import load_attached
 from coordlog.record.cdr import ENCAPSULATION
 from coordlog.record.chunk import PREFIX_SIZE, Batch
 from coordlog.record.records import RECORD_HEAD
@@ -52,7 +52,7 @@ class Shown:
         if MODEL_XML not in attachments:
             return None
         try:
-            description = Description(load_model(attachments[MODEL_XML], None))
+            description = Description(load_attached(attachments))
             state = np.frombuffer(attachments.get(INITIAL_STATE, b""))
         except (CoordlogError, ValueError):
             return None

@@ -141,6 +141,11 @@ class Recording:
         state.setflags(write=False)
         return state
 
+    def has(self, topic: str) -> bool:
+        """Whether the file has messages on a topic."""
+        with naming(self.source):
+            return topic in self._contents.messages
+
     @cached_property
     def _contents(self) -> Contents:
         return contents(self.data)

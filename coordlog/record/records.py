@@ -142,6 +142,8 @@ def _packed(text: str) -> bytes:
 def _string(content: bytes | memoryview, at: int) -> tuple[str, int]:
     (size,) = _unpack("<I", content, at)
     end = at + 4 + size
+    if end > len(content):
+        raise FormatError(f"record of {len(content)} bytes ends within a field")
     try:
         return str(content[at + 4 : end], "utf-8"), end
     except UnicodeDecodeError as error:

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
-from coordlog.contracts import Outcome, Problem
+from coordlog.contracts import Outcome, Problem, Task
 from coordlog.episode import CONTACT, Array, Episode, Header
 from coordlog.errors import FormatError
 from coordlog.robots.robot import Robot
@@ -27,6 +27,7 @@ from coordlog.sim.task import BoundTask
 from coordlog.spec import CORE, before, names
 from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
+from coordlog.tasks.unknown import UnknownTask
 
 GOALS = "goals"
 """A task's field of this name, "3*k" wide and before the action, says where goals that move are."""
@@ -117,7 +118,9 @@ def _replay_alike(logs: Sequence[Log], *, threads: int) -> list[Trace]:
     actor = Logged([log.action for log in logs])
     for _ in rollout(env, actor, (), seed=0, running=ids[lengths > 0], over=over):
         pass
-    wanted = set(names(logs[0].header.fields)) - {"action"}
+    rules, wanted = env.rules, set(names(logs[0].header.fields)) - {"action"}
+    if isinstance(rules, UnknownTask):
+        wanted -= rules.untold
     return [env.trace(int(i), wanted) for i in ids]
 
 
@@ -131,14 +134,16 @@ def _retraced(log: Log) -> Trace:
 def task_of(log: Log) -> BoundTask:
     """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
 
+    Where the task is not installed, a stand-in that judges nothing.
+
     Raises:
-        ConfigError: if the task is not installed, or the model lacks what the header names.
+        ConfigError: if the model lacks what the header names.
     """
     global _last
     if _last is None or _last[0] is not log.header or _last[1] is not log.model:
         env = log.header.env
         config, reward = build(EnvConfig, env["config"]), build(RewardConfig, env["reward"])
-        robot, rules = Robot.from_json(env["robot"]), registry.task_of(env)
+        robot, rules = Robot.from_json(env["robot"]), registry.task_or_unknown(env)
         _last = log.header, log.model, BoundTask(rules, robot, log.model, config, reward)
     return _last[2]
 
@@ -162,7 +167,7 @@ class LogEnv:
             threads: Threads to simulate on.
 
         Raises:
-            ConfigError: if the task is not installed, or a model lacks what its header names.
+            ConfigError: if a model lacks what its header names.
         """
         self._logs, self.task = logs, task_of(logs[0])
         models, resting = [log.model for log in logs], resting_of(logs[0].header)
@@ -259,6 +264,11 @@ class Traced:
         """Steps of each episode so far, (N,)."""
         self._rows: dict[str, Array] = {}
         self._contacts: list[list[Array]] = [[] for _ in range(env.n)]
+
+    @property
+    def rules(self) -> Task:
+        """The environment's task."""
+        return self._env.task.rules
 
     @property
     def n(self) -> int:

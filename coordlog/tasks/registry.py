@@ -17,6 +17,7 @@ from coordlog.errors import ConfigError, unknown
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.hold.task import HoldConfig, HoldTask
 from coordlog.tasks.reach.task import ReachTask
+from coordlog.tasks.unknown import UnknownTask
 
 TASKS: dict[str, tuple[type[Any], type[Any] | None]] = {
     "reach": (ReachTask, None),
@@ -41,6 +42,21 @@ def task_class(name: str) -> tuple[type[Any], type[Any] | None]:
         raise unknown("task", name, [*TASKS, *others])
     kind = others[name].load()
     return kind, getattr(kind, "constants", None)
+
+
+def is_installed(name: str) -> bool:
+    """Whether a task of this name is registered."""
+    return name in TASKS or any(point.name == name for point in entry_points(group=GROUP))
+
+
+def task_or_unknown(env: Json) -> Task:
+    """The task of a `coordlog.env` record; where it is not installed, what the log tells of it.
+
+    Raises:
+        ConfigError: if it is installed and does not know a constant that the record names.
+    """
+    name = env.get("task", {"name": "reach"})["name"]
+    return task_of(env) if is_installed(name) else UnknownTask(env)
 
 
 def make_task(

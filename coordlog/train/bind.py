@@ -6,14 +6,16 @@ from __future__ import annotations
 
 from functools import partial
 
-from coordlog.config import build
+from coordlog.config import build, plain
+from coordlog.contracts import Task as Rules
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.robots.robot import Robot
+from coordlog.spec import names
+from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.observation import StateView
-from coordlog.tasks.reach.reward import Flags, rewards
-from coordlog.train.relabel import GoalView, RewardFunction
+from coordlog.train.relabel import GoalView
 from coordlog.train.task import Motion, Task
 
 FARTHEST = 2.0
@@ -25,6 +27,8 @@ SPHERES = ("spheres", "nearness")
 """Parts of a state that tell of one sphere after the other."""
 SPHERE = 4
 """Entries of a sphere in the first of them: where it is, and its radius."""
+NEEDED = ("distance", "boundary", "goal", "collision", "instability")
+"""Columns of a task that there must be for it to be learnt: rewards depend on nothing else."""
 SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "state_scale")
 """Keys of the record that must agree for logs to be learnt from together."""
 
@@ -35,7 +39,20 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
     Args:
         env: The record.
         reward: Constants to learn from instead of those the record names.
+
+    Raises:
+        ConfigError: if the task is not installed.
+        SpecError: if it has no goals for the palms.
     """
+    if reward is not None:
+        env = env | {"reward": plain(reward)}
+    rules = registry.task_of(env)
+    missing = [name for name in NEEDED if name not in names(rules.fields)]
+    if missing:
+        raise SpecError(
+            f"task '{rules.name}': expected fields {', '.join(NEEDED)} to learn from, "
+            f"got none called {', '.join(missing)}"
+        )
     layout, places = env["layout"], StateView.from_json(env).places
     listed = tuple(places[name] for name in SPHERES if name in places)
     spheres = (
@@ -45,21 +62,17 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
         n_x=layout["n_x"],
         n_u=layout["n_u"],
         arms=env["arms"],
-        reward=reward_function(reward or build(RewardConfig, env["reward"])),
+        reward=partial(_rewards, rules),
         farthest=FARTHEST * env["robot"]["reach"],
-        view=goal_view(env),
+        view=goal_view(env, rules),
         motion=motion(env),
+        ended=partial(_ended, rules),
         spheres=spheres,
         listed=listed,
     )
 
 
-def reward_function(constants: RewardConfig) -> RewardFunction:
-    """The paper's reward with its constants bound."""
-    return partial(_rewards, constants)
-
-
-def goal_view(env: Json) -> GoalView:
+def goal_view(env: Json, rules: Rules) -> GoalView:
     """Where palms and goals stand in the state of a `coordlog.env` record."""
     view, config = StateView.from_json(env), build(EnvConfig, env["config"])
     difference = view.places.get("difference")
@@ -72,6 +85,7 @@ def goal_view(env: Json) -> GoalView:
         view.scale,
         config.goal_radius,
         config.boundary_radius,
+        partial(_ended, rules),
     )
 
 
@@ -95,6 +109,12 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
             raise SpecError(
                 f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
             )
+    tasks = [env.get("task", {"name": "reach"})["name"] for env in (first, other)]
+    if tasks[0] != tasks[1]:
+        raise SpecError(
+            f"{where}: its task is {tasks[1]}, that of the other logs {tasks[0]}; "
+            "train on logs of one task at a time"
+        )
     before, now = (env["config"]["control_period"] for env in (first, other))
     if before != now:
         raise SpecError(
@@ -108,11 +128,16 @@ def _seen(value: object) -> object:
 
 
 def _rewards(
-    constants: RewardConfig,
+    rules: Rules,
     distance: Array,
     boundary: Array,
     goal: Array,
     collision: Array,
     instability: Array,
 ) -> Array:
-    return rewards(distance, Flags(boundary, goal, collision, instability), constants)
+    every = (distance, boundary, goal, collision, instability)
+    return rules.reward(dict(zip(NEEDED, every, strict=True)))
+
+
+def _ended(rules: Rules, goal: Array, instability: Array) -> Array:
+    return rules.ended({"goal": goal, "instability": instability})

@@ -109,7 +109,11 @@ class Trainer:
             replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device
         )
         bounds = value_bounds(
-            task.reward, k=len(task.arms), gamma=settings.learner.gamma, farthest=task.farthest
+            task.reward,
+            k=len(task.arms),
+            gamma=settings.learner.gamma,
+            farthest=task.farthest,
+            ended=task.ended,
         )
         mask = gradient_mask(task.arms, task.n_u)
         self.learner = Learner(

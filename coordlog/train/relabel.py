@@ -9,7 +9,7 @@ stay as logged. Valid because the object to be grasped is not an obstacle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple, Protocol
@@ -18,8 +18,11 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import SpecError
+from coordlog.tasks.reach.reward import distances, ended, within
 
 AXES = 3
+Ended = Callable[[Array, Array], Array]
+"""ended(goal (n, k), instability (n,)) → (n,) bool: which steps end an episode for good."""
 
 
 class RewardFunction(Protocol):
@@ -54,6 +57,8 @@ class GoalView:
     """Closer than this [m] is at the goal."""
     boundary_radius: float
     """Closer than this [m] is within the goal's boundary."""
+    ended: Ended = ended
+    """The task's rule of what ends an episode."""
 
     def __post_init__(self) -> None:
         """Check that the three places are of one width.
@@ -117,14 +122,14 @@ def outcome(
     """Distances, flags, rewards and endings of n transitions that brought the palms (n, k, 3)
     there, for goals (n, k, 3).
 
-    κ overrides the rewards where every goal holds without collision or instability (the reward
-    function's rule), and an episode ends on instability or when every goal holds (Algorithm 1), so
-    `terminated` is recomputed with the goals.
+    Rewards and endings are the task's: in the reach task κ overrides the rewards where every goal
+    holds without collision or instability, and an episode ends on instability or when every goal
+    holds (Algorithm 1), so `terminated` is recomputed with the goals.
     """
-    distance = np.linalg.norm(goals - palms, axis=-1)
-    boundary, goal = distance < view.boundary_radius, distance < view.goal_radius
+    distance = distances(palms, goals)
+    boundary, goal = within(distance, boundary=view.boundary_radius, goal=view.goal_radius)
     rewards = reward(distance, boundary, goal, collision, instability)
-    return Outcome(distance, boundary, goal, rewards, np.asarray(instability | goal.all(axis=-1)))
+    return Outcome(distance, boundary, goal, rewards, view.ended(goal, instability))
 
 
 def draw_later(rng: np.random.Generator, now: Array, last: Array, horizon: int = 0) -> Array:
@@ -159,7 +164,7 @@ def reorder(rng: np.random.Generator, count: int, places: Sequence[slice], *stat
 
 
 def value_bounds(
-    reward: RewardFunction, *, k: int, gamma: float, farthest: float
+    reward: RewardFunction, *, k: int, gamma: float, farthest: float, ended: Ended = ended
 ) -> tuple[float, float]:
     """Least and greatest discounted return any policy can have.
 
@@ -172,12 +177,13 @@ def value_bounds(
         k: Number of arms.
         gamma: Discount, below 1.
         farthest: Greatest distance between palm and goal [m].
+        ended: What ends an episode.
     """
     cases = np.array(list(product((False, True), repeat=2 * k + 3)))
     boundary, goal = cases[:, :k], cases[:, k : 2 * k]
     collision, instability, far = cases[:, 2 * k], cases[:, 2 * k + 1], cases[:, 2 * k + 2]
     distance = np.where(far, farthest, 0.0)[:, None] * np.ones(k)
     rewards = reward(distance, boundary, goal, collision, instability)
-    ends = instability | goal.all(axis=1)
+    ends = ended(goal, instability)
     going, ending = rewards[~ends] / (1 - gamma), rewards[ends]
     return float(min(going.min(), ending.min())), float(max(going.max(), ending.max()))

@@ -10,9 +10,10 @@ from typing import Literal, NamedTuple, Protocol
 
 from coordlog.episode import Array
 from coordlog.policies.learned import Policy
+from coordlog.tasks.reach.reward import ended
 from coordlog.train.buffer import Block
 from coordlog.train.metrics import Event, Row
-from coordlog.train.relabel import GoalView, RewardFunction
+from coordlog.train.relabel import Ended, GoalView, RewardFunction
 
 
 class Motion(NamedTuple):
@@ -49,6 +50,8 @@ class Task:
 
     Without it, what was done is imitated as it was done.
     """
+    ended: Ended = ended
+    """The task's rule of what ends an episode."""
     spheres: int = 0
     """Number of spheres that the state tells of."""
     listed: Sequence[slice] = ()

@@ -24,6 +24,7 @@ from coordlog.record.opening import File, is_own, load, rewritten_by, summary_st
 from coordlog.record.reader import attachments
 from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE, walk
 from coordlog.record.schema import column
+from coordlog.spec import JOINT_STATE_TOPIC
 from coordlog.verify.bitflip import locate
 from coordlog.verify.damage import damages
 from coordlog.verify.finding import Finding, Problem
@@ -166,9 +167,11 @@ def _messages(found: Contents, episode: Episode) -> Iterator[Problem]:
     if episode.path is not None:
         wanted |= encoder.path(episode.path)
     start = _COMPARED if found.own else _RECORDED
-    for topic, message in encoder.messages.items():
-        stream = found.stream(topic)
-        if stream.columns != tuple(map(column, message.fields)):
+    for topic in (*encoder.messages, JOINT_STATE_TOPIC):
+        stream, message = found.stream(topic), encoder.messages.get(topic)
+        if message is None and not stream.records:
+            continue
+        if message is not None and stream.columns != tuple(map(column, message.fields)):
             continue
         records = wanted[topic].records if topic in wanted else []
         for index, (a, b) in enumerate(zip_longest(records, stream.records)):

@@ -13,8 +13,9 @@ import pytest
 
 import coordlog
 from coordlog.cli import app
-from coordlog.commands.branches import EARLIEST, LATEST, Parents, leave
+from coordlog.commands.logs import load_logs
 from coordlog.errors import CoordlogError
+from coordlog.record.branches import EARLIEST, LATEST, Parents, leave
 
 SEEDS = 200
 
@@ -127,7 +128,7 @@ def test_equal_seeds_leave_at_equal_steps_and_others_elsewhere(
     logs: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    parents = Parents([logs], where="", jobs=1)
+    parents = Parents(load_logs([logs], where="", skip_broken=False, jobs=1))
     steps = [
         [len(parents.leave(index, seed=seed)[1].actions) for index in range(8)]
         for seed in (0, 0, 1)

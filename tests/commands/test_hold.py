@@ -5,27 +5,22 @@ from __future__ import annotations
 
 import ast
 import json
-import subprocess
-import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import coordlog
+from coordlog.cli import app
 
 PACKAGE = Path(coordlog.__file__).parent
 
 
-def run(*args: str | Path) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "coordlog.cli", *map(str, args)],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout + done.stderr
+def run(*args: str | Path, wanted: int = 0) -> str:
+    done = CliRunner().invoke(app, [str(arg) for arg in args], catch_exceptions=False)
+    assert done.exit_code == wanted, done.output
+    return done.output
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +57,7 @@ def test_one_changed_goal_is_found(logs: Path, tmp_path: Path) -> None:
     write_episode(
         tmp_path / first.name, changed, attachments=read_attachments(first), display=False
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "coordlog.cli", "check", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert "distance" in done.stdout + done.stderr
+    assert "step 39" in run("check", tmp_path, wanted=1), "the goal after it is another"
 
 
 def test_it_is_smoothed_learnt_from_and_shown(logs: Path, tmp_path: Path) -> None:
@@ -98,3 +86,25 @@ def test_nothing_outside_its_folder_and_the_registries_names_it() -> None:
         assert "hold" not in said, place
         assert not {"HoldTask", "HoldConfig"} & used, place
         assert not any(str(name).startswith("coordlog.tasks.hold") for name in modules), place
+
+
+def test_where_the_task_is_not_installed_its_logs_replay_as_far_as_the_core_goes(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from coordlog.episode import INITIAL_STATE
+    from coordlog.mjcf import load_attached
+    from coordlog.record.reader import read_attachments, read_episode
+    from coordlog.sim.replay import Log, replay
+    from coordlog.tasks import registry
+    from coordlog.verify.physics import check_replay
+
+    paths = sorted(logs.glob("*.mcap"))
+    monkeypatch.delitem(registry.TASKS, "hold")
+    assert check_replay(paths).findings == []
+    episode, attached = read_episode(paths[0]), read_attachments(paths[0])
+    start = np.frombuffer(attached[INITIAL_STATE])
+    (trace,) = replay([Log.of(episode, load_attached(attached), start)])
+    assert {"qpos", "qvel", "state", "ctrl", "torque"} <= set(trace.columns)
+    assert not {"reward", "terminated", "truncated", "distance"} & set(trace.columns)
+    for name, column in trace.columns.items():
+        assert column.tobytes() == getattr(episode, name).tobytes(), name

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from coordlog.commands.policies import SHIPPED
+from coordlog.policies.registry import SHIPPED
 from experiments import cells, claims, planning, tables
 from experiments.recipes import recipes, row_names
 from experiments.report import PAGE, README, readme, render, scene_table, shipped

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from coordlog.commands.policies import SHIPPED
 from coordlog.config import plain
+from coordlog.policies.registry import SHIPPED
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from experiments.training import around, command
 

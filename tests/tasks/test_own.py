@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coordlog.commands.environment import scene_of
 from coordlog.errors import ConfigError
+from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import SCENES, find
 
 OWN = """

@@ -12,11 +12,11 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 from safetensors import safe_open
 
-from coordlog.commands.environment import make_env
-from coordlog.commands.policies import SHIPPED, make_policy, policy_file, pretrained
 from coordlog.errors import ConfigError, SpecError
 from coordlog.policies.damper import Shielded
 from coordlog.policies.learned import Policy
+from coordlog.policies.registry import SHIPPED, make_policy, policy_file, pretrained
+from coordlog.sim.making import make_env
 from coordlog.sim.scoring import evaluate
 from coordlog.tasks.config import TRAINING_ONLY
 

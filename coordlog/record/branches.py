@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coordlog.commands.logs import load_logs
 from coordlog.contracts import Branch
 from coordlog.errors import ConfigError
 from coordlog.record.recorder import Recorder
@@ -48,15 +47,12 @@ class Parent:
 class Parents:
     """Logged episodes of one scene, each to be left as often as it is asked for."""
 
-    def __init__(self, paths: list[Path], *, where: str, jobs: int = 0) -> None:
-        """Read what is needed of the logs.
+    def __init__(self, logs: Logs) -> None:
+        """Take what is needed of logs of one scene.
 
         Raises:
-            ConfigError: if the condition is no SQL, or nothing satisfies it.
-            FormatError: if a file is broken.
-            SpecError: if there are no logs, or they are of several scenes.
+            ConfigError: if they are of several start poses.
         """
-        logs = load_logs(paths, where=where, skip_broken=False, jobs=jobs)
         self.env: Json = logs.env(0)
         """The `coordlog.env` record of the first."""
         self.scene: str = logs.episodes.column("scene")[0].as_py()
@@ -99,16 +95,25 @@ class Branched(Recorder):
 
 def _parents(logs: Logs) -> Iterator[Parent]:
     """The episodes of some logs."""
-    from coordlog.train.logs import Columns
-
-    columns = Columns.from_tables(logs.steps, logs.episodes)
-    mishap, ends = columns.collision | columns.instability, np.cumsum(columns.length)
+    state, action, collision, instability = (
+        _column(logs, name) for name in ("state", "action", "collision", "instability")
+    )
+    mishap, lengths = collision | instability, logs.episodes.column("length").to_pylist()
     rows = logs.episodes.select(["seed", "split", "index", "digest"]).to_pylist()
-    for row, length, end in zip(rows, columns.length, ends, strict=True):
-        part = slice(int(end - length), int(end))
-        yield Parent(
-            **row, state=columns.state[part], action=columns.action[part], mishap=mishap[part]
-        )
+    start = 0
+    for row, length in zip(rows, lengths, strict=True):
+        part = slice(start, start + length)
+        yield Parent(**row, state=state[part], action=action[part], mishap=mishap[part])
+        start += length
+
+
+def _column(logs: Logs, name: str) -> Array:
+    """A column of all steps, (N,) or (N, width)."""
+    column = logs.steps.column(name)
+    if column.type.num_fields == 0:
+        return np.asarray(column)
+    flat = np.concatenate([np.asarray(chunk.flatten()) for chunk in column.chunks])
+    return flat.reshape(len(column), -1)
 
 
 def leave(rng: np.random.Generator, mishap: Array) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ FILES = ("best", "policy")
 """What a run folder may hold, in order of preference."""
 DEFAULT_SCENE = "table"
 PRETRAINED = "pretrained"
-SHIPPED = Path(__file__).parents[1] / "policies"
+SHIPPED = Path(__file__).parent
 """Policies that come with the package, SCENE.safetensors, and beside each its card, SCENE.json;
 SCENE-KIND where several do.
 """
@@ -163,13 +164,13 @@ def make_policy(
 
 
 def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
-    from coordlog.policies.learned import Policy as Network
     from coordlog.policies.scripted import scripted
-    from coordlog.record.cache import file_digest
 
     file = policy_file(name, env.scene.name)
     if file is None:
         return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
+    from coordlog.policies.learned import Policy as Network
+
     trained = Network.load(file)
     here, (scene, there) = env.describe(), _origin(file, trained)
     for key in ("state", "action_joints"):
@@ -183,4 +184,9 @@ def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
             f" {len(here['action_joints'])} actions, got {trained.n_x} and {trained.n_u}"
         )
     said = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
-    return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": file_digest(file)}
+    return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": _digest(file)}
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,55 @@
+"""Scenes as a person names them: one that ships, one in a file of their own, a robot's card."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from coordlog.errors import ConfigError, unknown
+from coordlog.tasks.card import read_card
+from coordlog.tasks.scene import Scene, find
+
+
+def scene_of(name: str) -> Scene:
+    """The scene that a person asks for: one that ships, one of their own as FILE.py:NAME, for which
+    the file is run, or a robot's card, ROBOT.toml.
+
+    Names that come out of logs and policy files go to `tasks.scene.find` instead: what somebody
+    sent must not run anything.
+
+    Raises:
+        ConfigError: for an unknown name, a file that cannot be run or read, or a name in it that is
+            no scene.
+    """
+    if name.endswith(".toml"):
+        return read_card(Path(name))
+    file, colon, attribute = name.rpartition(":")
+    if not colon:
+        return find(name)
+    found = _run(Path(file))
+    scenes = [key for key, value in found.items() if isinstance(value, Scene)]
+    if attribute not in scenes:
+        raise unknown(f"scene of {file}", attribute, scenes)
+    own: Scene = found[attribute]
+    if own.robot.assets is None and isinstance(own.robot.mjcf, str):  # beside the file, as Python
+        own = replace(own, robot=replace(own.robot, assets=Path(file).resolve().parent))
+    return own
+
+
+def _run(file: Path) -> dict[str, Any]:
+    """Run a file of the user's as `python FILE.py` does: its own folder is where it imports from
+    first.
+    """
+    folder = str(file.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        return runpy.run_path(str(file))
+    except Exception as error:  # the file is the user's, and so is whatever it raises
+        raise ConfigError(
+            f"{file}: cannot be run for its scenes: {type(error).__name__}: {error}"
+        ) from error
+    finally:
+        sys.path.remove(folder)

@@ -1,0 +1,96 @@
+"""Episodes of an older schema version as new files of the present one; the old files stay.
+
+What the new version logs besides (`ctrl`, `torque`) is simulated again from the file alone, and only
+taken if everything that was logged comes back bit for bit. Where it does not the episode is written
+with what it had, and that is said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from coordlog.episode import MODEL_MJB, Array, Header
+from coordlog.errors import CoordlogError, FormatError
+from coordlog.record.recording import Recording
+from coordlog.record.writer import write_episode
+from coordlog.sim.replay import Log, exact_here, replay
+from coordlog.spec import JOINT_STATE_TOPIC, SCHEMA_VERSION
+
+MIGRATED = "migrate"
+"""The lineage's name for an episode that was written again in a later schema version."""
+
+
+class Migrated(NamedTuple):
+    """What became of one file."""
+
+    path: Path
+    filled: bool
+    """Whether `ctrl` and `torque` were simulated again."""
+    reason: str
+    """Why not; "" if they were."""
+
+
+def migrate(source: Recording, target: Path) -> Migrated:
+    """Write an episode of an older schema version as a new file of the present one.
+
+    Its lineage names the old file by its digest, and keeps the lineage that it had.
+
+    Args:
+        source: The episode.
+        target: Name of the new file.
+
+    Raises:
+        FormatError: if it is of the present version already, or cannot be read.
+        StorageError: if the new file exists or cannot be written.
+
+    Example:
+        >>> migrate(Recording("old/a.mcap"), Path("new/a.mcap")).filled     # doctest: +SKIP
+        True
+    """
+    old = source.header
+    if old.version == SCHEMA_VERSION:
+        raise FormatError(f"{source.source}: of schema version {SCHEMA_VERSION} already")
+    columns, reason = _simulated(source)
+    header = old.current(n_c=columns["ctrl"].shape[1] if columns else 0)
+    lineage = {
+        "parents": [source.digest],
+        "transform": MIGRATED,
+        "parameters": {
+            "schema_version": old.version,
+            "lineage": old.lineage,
+            "simulated_again": not reason,
+            "reason": reason,
+        },
+    }
+    episode = replace(
+        source.episode,
+        header=replace(header, lineage=lineage),
+        columns={**source.episode.columns, **columns},
+    )
+    kept = {name: data for name, data in source.attachments.items() if name != MODEL_MJB}
+    write_episode(target, episode, attachments=kept, display=source.has(JOINT_STATE_TOPIC))
+    return Migrated(target, not reason, reason)
+
+
+def _simulated(source: Recording) -> tuple[dict[str, Array], str]:
+    """`ctrl` and `torque` of an episode that comes back bit for bit; or none, and why."""
+    episode = source.episode
+    reason = exact_here(source.header)
+    if reason:
+        return {}, reason
+    try:
+        header = _with_actuators(source.header, source.model.nu)
+        start = source.initial_state
+        (trace,) = replay([Log.of(episode, source.model, start)._replace(header=header)])
+    except (CoordlogError, KeyError, IndexError, ValueError) as error:
+        return {}, f"it cannot be simulated again: {error}"
+    for name, logged in episode.columns.items():
+        if name != "action" and logged.tobytes() != trace.columns[name].tobytes():
+            return {}, f"simulated again, {name} differs from what was logged"
+    return {name: trace.columns[name] for name in ("ctrl", "torque")}, ""
+
+
+def _with_actuators(header: Header, count: int) -> Header:
+    return header.current(n_c=count)
