@@ -71,7 +71,9 @@ def export(
     from coordlog.exchange.blocks import Options, format_of
     from coordlog.exchange.blocks import export as write
     from coordlog.exchange.source import entries
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     format_of(to)
     width, height = _size(size)
     options = Options(to, tuple(camera or ()), width, height, storage)

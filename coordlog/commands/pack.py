@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.asking import gathered
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 from coordlog.parallel import JOBS_HELP, SHARD_HELP
 from coordlog.parallel import shard as share
 
@@ -45,10 +45,9 @@ def pack(
         coordlog check PACK/
     """
     from coordlog.catalog.packing import pack_files
-    from coordlog.record.places import is_url
+    from coordlog.record.places import require_folder
 
-    if is_url(out):
-        raise ConfigError(f"--out {out}: expected a folder; pack there and copy the shards")
+    require_folder(out)
     files, left_out = _found(path)
     work = share(files, shard)
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
@@ -82,7 +81,9 @@ def unpack(
         coordlog unpack PACK/ --out logs/
     """
     from coordlog.catalog.packing import unpack_files
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     files, left_out = _found(path)
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task("unpacking", total=len(files), note="")

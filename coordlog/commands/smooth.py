@@ -81,8 +81,10 @@ def smooth(
 
         coordlog smooth logs/ --out smoothed/ --cutoff 2 --clearance 0.01 --report report.json
     """
+    from coordlog.record.places import require_folder
     from coordlog.smooth.batch import SKIPPED, plan, summary
 
+    require_folder(out)
     settings = {
         "method": method,
         "cutoff": "max" if cutoff is None else cutoff,

@@ -124,7 +124,7 @@ def _episode(
         result=ended,  # the writer computes it anew
         contacts=execution.run.contacts,
         path=result.path(),
-        **columns,
+        columns={**raw.columns, **columns},
     )
 
 

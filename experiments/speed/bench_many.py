@@ -32,7 +32,6 @@ from coordlog.catalog.packing import pack_files
 from coordlog.catalog.query import Source, ask
 from coordlog.catalog.rows import KEPT
 from coordlog.catalog.selection import Split, select
-from coordlog.commands.check import check_files
 from coordlog.parallel import mapped
 from coordlog.record import manifest
 from coordlog.record.addresses import fetch, name_within
@@ -41,6 +40,7 @@ from coordlog.record.pack_writer import PackWriter
 from coordlog.record.packs import Pack
 from coordlog.record.places import Folder
 from coordlog.record.store import ObjectStore
+from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[2]
 EPISODES = sorted((ROOT / "tests" / "data" / "v1").rglob("*.mcap"))
