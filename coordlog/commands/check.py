@@ -19,7 +19,8 @@ from coordlog.errors import (
     TruncatedError,
     unknown,
 )
-from coordlog.parallel import batches, mapped
+from coordlog.parallel import JOBS_HELP, SHARD_HELP, batches, mapped
+from coordlog.parallel import shard as share
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,7 +41,8 @@ def check(
             help="file: structure and CRCs. content: and values. replay: and the physics, bit for bit."
         ),
     ] = "replay",
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    shard: Annotated[str, typer.Option(help=SHARD_HELP, metavar="I/N")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Prove that every episode is whole, consistent, and can be simulated again from its file
@@ -61,6 +63,7 @@ def check(
     if level not in LEVELS:
         raise unknown("level", level, LEVELS)
     files = find_files(path)
+    files = files._replace(paths=tuple(share(files.paths, shard)))
     paths, skipped, findings = _recognised(
         list(files.paths), alone=path[0] if len(path) == 1 else None
     )

@@ -47,11 +47,11 @@ class Batch(NamedTuple):
     files: Files
     """What else was found: parts that no writer has finished, and what could not be read."""
 
-    def run(self, *, processes: int = 0) -> Iterator[Json]:
+    def run(self, *, processes: int | str = 0) -> Iterator[Json]:
         """Rows of the report (see `smooth_file`), in the order of the jobs.
 
         Args:
-            processes: 0 for one per core.
+            processes: 0 for one per core; or a cluster, see `parallel.mapped`.
         """
         return mapped(smooth_file, self.jobs, jobs=processes)
 
