@@ -157,16 +157,9 @@ class Robot:
         missing = [key for key in _SPEC if key not in data]
         if missing:
             raise FormatError(
-                f"robot: expected its {', '.join(_SPEC)}, without {', '.join(missing)}"
+                f"robot: expected its {', '.join(_SPEC)}; {', '.join(missing)} missing"
             )
-        return cls(
-            data["name"],
-            mjcf,
-            arms,
-            tuple(data["shared"]),
-            tuple(data["soles"]),
-            data["torso"],
-            data["poses"],
-            tuple(data["centre"]),
-            data["reach"],
-        )
+        centre = tuple(data["centre"])
+        shared, soles = tuple(data["shared"]), tuple(data["soles"])
+        name, torso, poses = data["name"], data["torso"], data["poses"]
+        return cls(name, mjcf, arms, shared, soles, torso, poses, centre, data["reach"])
