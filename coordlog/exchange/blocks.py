@@ -182,8 +182,8 @@ def _plan(chosen: Sequence[Entry], options: Options) -> Json:
         _require_own_names(chosen)
     digest = hashlib.sha256()
     for entry in chosen:
-        size = entry.path.stat().st_size
-        digest.update(f"{entry.path.name}\0{size}\0{entry.result.digest}\n".encode())
+        about = json.dumps(entry.row, sort_keys=True)
+        digest.update(f"{about}\0{entry.result.digest}\n".encode())
     return {
         "options": asdict(options) | {"cameras": list(options.cameras)},
         "episodes": len(chosen),

@@ -79,7 +79,7 @@ def write_bag(loaded: Loaded, target: Path, *, storage: str = "mcap") -> None:
         target: Folder of the bag; must not exist.
         storage: mcap or sqlite3.
     """
-    data = loaded.path.read_bytes()
+    data = loaded.data
     if storage == "mcap" and loaded.episode.path is None:
         target.mkdir(parents=True)
         name = f"{target.name}.mcap"

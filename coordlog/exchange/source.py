@@ -4,7 +4,6 @@ values.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,8 @@ import zstandard
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError
 from coordlog.record.files import find_files
-from coordlog.record.reader import read_attachments, read_episode, read_summary
+from coordlog.record.reader import read_summary
+from coordlog.record.recording import Recording
 
 JITTER = 0.03
 """How far from a whole rate the median period of an observed episode may be, relatively."""
@@ -88,8 +88,14 @@ class Loaded:
             FormatError: if it is not a finished, undamaged episode.
         """
         self.path = path
-        self.episode: Episode = read_episode(path)
-        self.sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        self._recording = Recording(path)
+        self.episode: Episode = self._recording.episode
+        self.sha256 = self._recording.digest
+
+    @property
+    def data(self) -> bytes:
+        """All bytes of the file."""
+        return self._recording.data
 
     @cached_property
     def provenance(self) -> Json:
@@ -105,10 +111,10 @@ class Loaded:
         text = json.dumps(self.provenance, ensure_ascii=False)
         return chosen | {f"coordlog{separator}origin": text}
 
-    @cached_property
+    @property
     def attachments(self) -> dict[str, bytes]:
         """Model and first state, by name."""
-        return read_attachments(self.path)
+        return self._recording.attachments
 
     @property
     def model_text(self) -> str:

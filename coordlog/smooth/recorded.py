@@ -20,7 +20,6 @@ from coordlog.smooth.execute import Execution, execute
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.lineage import FASTER, common, derived, fastest_of, number
 from coordlog.smooth.metrics import PathLoad
-from coordlog.smooth.observed import smooth_observed
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 
@@ -43,8 +42,6 @@ def smooth_episode(recording: Recording, settings: Json) -> tuple[Episode, Json]
         SpecError: if the log cannot be smoothed as it is; the message says why.
     """
     episode = recording.episode
-    if episode.header.kind == "observed":
-        return smooth_observed(recording, settings)
     require_fit(recording.model, recording.initial_state, episode)
     log = Log.of(episode, recording.model, recording.initial_state)
     task = task_of(log)

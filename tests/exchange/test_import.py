@@ -236,7 +236,7 @@ def test_a_bag_is_smoothed_and_goes_back_as_a_bag_with_a_trajectory(bag, arm, tm
         coordlog.open(tmp_path / "logs"), coordlog.open(tmp_path / "smooth"), strict=True
     ):
         assert smoothed.header.kind == "observed"
-        assert smoothed.header.lineage["parameters"]["execution"].startswith("kinematic")
+        assert smoothed.header.lineage["parameters"]["steps_of"] == "path"
         assert smoothed.header.episode["source"] == raw.header.episode["source"]
         np.testing.assert_array_equal(smoothed.time, raw.time)
         np.testing.assert_array_equal(smoothed.qpos[[0, -1]], raw.qpos[[0, -1]])
