@@ -28,10 +28,12 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import numpy as np
-from tests.synthetic import make_episode
+from tests.synthetic import make_episode, make_header
 from coordlog.errors import StorageError
+from coordlog.record.tally import task_here
 from coordlog.record.writer import BLOCK, EpisodeWriter
 
+task_here(make_header())  # loads what the first episode would
 folder, seed, pause = Path(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
 import time
 print("ready", flush=True)
