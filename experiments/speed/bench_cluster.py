@@ -23,9 +23,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from coordlog.commands.smoothing import Job, smooth_file
-
 from coordlog.parallel import batches, mapped
+from coordlog.smooth.batch import Job, smooth_file
 from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[2]
