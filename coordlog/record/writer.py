@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coordlog.episode import CONTACT, Array, Episode, Header, Path, Result
+from coordlog.episode import CONTACT, MODEL_XML, Array, Episode, Header, Path, Result
 from coordlog.errors import FormatError, SpecError
 from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
@@ -262,6 +262,8 @@ class EpisodeWriter:
 
 
 def _shown(attachments: Mapping[str, bytes]) -> Shown | None:
+    if MODEL_XML not in attachments:
+        return None
     from coordlog.record.display import Shown  # loads MuJoCo
 
     return Shown.of(attachments)

@@ -28,10 +28,12 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import numpy as np
-from tests.synthetic import make_episode
+from tests.synthetic import make_episode, make_header
 from coordlog.errors import StorageError
+from coordlog.record.tally import task_here
 from coordlog.record.writer import BLOCK, EpisodeWriter
 
+task_here(make_header())  # loads what the first episode would
 folder, seed, pause = Path(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
 import time
 print("ready", flush=True)
@@ -116,8 +118,7 @@ def test_two_recordings_into_one_folder(tmp_path):
     folder = tmp_path / "logs"
     folder.mkdir()
     processes = [start(folder, seed, pause=0) for seed in (1, 2)]
-    time.sleep(0.3)
-    told = []
+    told = [process.stdout.readline().strip() for process in processes]  # both have begun
     for process in processes:
         process.terminate()
         told += process.communicate()[0].split("\n")[:-1]
@@ -172,7 +173,7 @@ def test_a_disk_without_any_space_says_so(episode, tmp_path):
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
     mount = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)],
+        ["mount", "-t", "tmpfs", "-o", "size=128k", "none", str(tmp_path)],
         capture_output=True,
         check=False,
     )
@@ -184,7 +185,7 @@ def test_a_disk_without_any_space_says_so(episode, tmp_path):
             write_episode(
                 tmp_path / "does_not.mcap",
                 episode,
-                attachments={"big": bytes(2**17)},
+                attachments={"big": bytes(2**18)},
                 display=False,
             )
         parts = list(tmp_path.glob("*.part"))
