@@ -161,14 +161,5 @@ class Robot:
             )
         centre = tuple(data["centre"])
         shared, soles = tuple(data["shared"]), tuple(data["soles"])
-        return cls(
-            data["name"],
-            mjcf,
-            arms,
-            tuple(data["shared"]),
-            tuple(data["soles"]),
-            data["torso"],
-            data["poses"],
-            tuple(data["centre"]),
-            data["reach"],
-        )
+        name, torso, poses = data["name"], data["torso"], data["poses"]
+        return cls(name, mjcf, arms, shared, soles, torso, poses, centre, data["reach"])
