@@ -154,11 +154,7 @@ def saturation(found: Tables) -> Checked:
     reached = {scene: curves.saturated(scene) for scene in tables.SCENES}
     known = {scene: steps for scene, steps in reached.items() if steps is not None}
     texts = {scene: f"{steps:,} steps" for scene, steps in known.items()}
-    still = [
-        scene
-        for scene, steps in reached.items()
-        if steps is None and curves.kept(scene, curves.LIVE)
-    ]
+    still = [scene for scene, steps in reached.items() if steps is None and curves.live(scene)]
     return Checked(
         "Learning saturates at 4 000 episodes (600 000 steps) in every scene",
         "learning curves of unnamed numbers of seeds",

@@ -22,7 +22,8 @@ from coordlog.train.metrics import MetricsLog
 from experiments.recipes import row_names
 
 FOLDER = Path(__file__).parent / "curves"
-LIVE = "digrad-live"
+LIVE, FAST = "digrad-live", "digrad-live-fast"
+"""Live runs of the preset of that name, and of before, with decisions of 0.04 s."""
 TICK = 0.04
 """The control step that budgets are counted in [s]; a decision may last several."""
 WITHIN = 0.1
@@ -81,6 +82,11 @@ def kept(scene: str = "*", row: str = "*", *, folder: Path = FOLDER) -> list[Pat
     return sorted(path.parent for path in folder.glob(f"{scene}-{row}-s*/metrics.jsonl"))
 
 
+def live(scene: str, *, folder: Path = FOLDER) -> list[Path]:
+    """The live curves of a scene: those of before only where there are no others."""
+    return kept(scene, LIVE, folder=folder) or kept(scene, FAST, folder=folder)
+
+
 def saturated(scene: str, *, folder: Path = FOLDER) -> int | None:
     """Control steps of TICK seconds from which on the score of the slowest seed stays within WITHIN
     of its last.
@@ -88,7 +94,7 @@ def saturated(scene: str, *, folder: Path = FOLDER) -> int | None:
     None without curves, or where one of them was still on its way when the run ended (SETTLED), or
     had learnt nothing (LEARNT).
     """
-    found = [load_history(path) for path in kept(scene, LIVE, folder=folder)]
+    found = [load_history(path) for path in live(scene, folder=folder)]
     curves = [history.rows for history in found]
     steps = [_from(rows) for rows in curves]
     settled = all(

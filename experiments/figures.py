@@ -59,7 +59,7 @@ def paths() -> Path:
 
 def learning() -> Path | None:
     """Live learning curves of every scene that has one; None without any."""
-    kept = curves.kept(row=curves.LIVE)
+    kept = [path for scene in tables.SCENES for path in curves.live(scene)]
     if not kept:
         return None
     with tempfile.TemporaryDirectory() as name:

@@ -104,10 +104,11 @@ the price of a fall, is then too low. Where it is not, what is left is a way tha
 
 """
 WHY = """
-At 25 decisions a second one action changes the value by a percent or two, and imitation in hindsight pulls about a hundred times harder:
-a way around something can only be learnt from values, and they were not heard. The preset `live` lets a decision last 0.12 s, lets
-imitation fade to a fortieth of what it was, begins half of the episodes elsewhere and a quarter near goals, does not charge an action
-with what the noise of a later one did, and makes the actor ascend the mean of its critics ([training](training.md#live-from-nothing)).
+At 25 decisions a second one action changes the value by a percent or two, and imitation in hindsight pulls, by an estimate from the
+gradients, a hundred times harder: a way around something can only be learnt from values, and they were not heard. The preset `live` lets
+a decision last 0.12 s, lets imitation fade to a fortieth of what it was, begins half of the episodes elsewhere and a quarter near goals,
+does not charge an action with what the noise of a later one did, and makes the actor ascend the mean of its critics
+([training](training.md#live-from-nothing)). What each of these is worth on its own has not been measured.
 
 """
 

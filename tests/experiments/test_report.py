@@ -139,7 +139,7 @@ def test_a_claim_without_a_table_is_not_run_and_one_with_follows_its_numbers(
     assert claims.saturation({}).verdict.startswith("does not hold: "), (
         "there are curves, and none has settled"
     )
-    monkeypatch.setattr(claims.curves, "kept", lambda *_: [])
+    monkeypatch.setattr(claims.curves, "live", lambda _: [])
     assert claims.section({}).count(claims.NOT_RUN) == len(claims.CHECKS)
     table = {"table-shipped": made("shipped", "table", 500)}
     assert claims.decision(table).verdict.startswith("holds")
