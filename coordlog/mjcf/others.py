@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -58,7 +59,10 @@ def text_of(model: mujoco.MjModel, source: Path | str | None = None) -> dict[str
     """
     attached = {}
     for given in (source, _last(model)):
-        found = None if given is None else verbatim(given, model)
+        with warnings.catch_warnings():
+            # MuJoCo's own print names a statistic that it warns of when it reads it again.
+            warnings.filterwarnings("ignore", message="statistic attribute")
+            found = None if given is None else verbatim(given, model)
         if found is not None:
             attached = pack_source(found)
             if same_physics(load_attached(attached), model):

@@ -34,7 +34,7 @@ def scene_of(name: str) -> Scene:
     if attribute not in scenes:
         raise unknown(f"scene of {file}", attribute, scenes)
     own: Scene = found[attribute]
-    if own.robot.assets is None and isinstance(own.robot.mjcf, str):  # beside the file, as Python
+    if own.robot.assets is None and "file=" in str(own.robot.mjcf):  # beside the file, as Python
         own = replace(own, robot=replace(own.robot, assets=Path(file).resolve().parent))
     return own
 

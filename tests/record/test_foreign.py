@@ -187,6 +187,9 @@ def test_a_model_that_was_changed_after_it_was_compiled_is_logged_as_it_is(tmp_p
     env = Env()
     env.model.body_mass[2] *= 1.7
     env.model.opt.gravity[2] = -3.0
+    with pytest.raises(ConfigError, match="compiles to other physics"):
+        Recorder(env, tmp_path)  # constants that follow from masses are still the old ones
+    mujoco.mj_setConst(env.model, env.data)
     file = record_env(env, policy, episodes=1, out=tmp_path).files[0]
     assert check_replay([file]).findings == []
 
