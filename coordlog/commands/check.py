@@ -147,8 +147,11 @@ def _show(report: dict[str, Any], findings: list[Finding]) -> None:
     for item in findings:
         terminal.say(item, style="red")
     _name(report["skipped"].values(), report["unfinished"])
-    for reason in sorted(set(report["inexact"].values())):
-        terminal.note(f"bits not compared, only values within tolerances: {reason}")
+    reasons = sorted(set(report["inexact"].values()))
+    observed = sum(reason.startswith("observed") for reason in reasons)
+    for reason in reasons:
+        near = "" if reason.startswith("observed") else "bits not compared, only values near: "
+        terminal.note(near + reason)
     files, steps = report["files"], report["steps"]
     did = (
         f"{steps:,} steps simulated again and compared"
@@ -156,6 +159,8 @@ def _show(report: dict[str, Any], findings: list[Finding]) -> None:
         else f"checked at level {report['level']}"
     )
     verdict = f"{len(findings)} findings" if findings else "all sound"
+    if observed:
+        verdict = f"{len(findings)} findings; {observed} observed, whose physics nobody can prove"
     terminal.say(
         f"{files} episodes, {did} in {report['seconds']:.1f} s: {verdict}",
         style="bold red" if findings else "bold green",

@@ -252,7 +252,9 @@ def draw_balance(draft: Draft, stage: Stage) -> None:
     """
     com = stage.motion.com
     ground = com * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.002]
-    unstable = np.append(False, stage.episode.instability)
+    unstable = np.zeros(len(stage.episode) + 1, bool)
+    if stage.episode.has("instability"):
+        unstable[1:] = stage.episode.instability
     colours = np.where(unstable[:, None], palette.BAD, palette.MASS).astype(np.uint8)
     edge = np.where(unstable[:, None], palette.BAD, palette.GOOD).astype(np.uint8)
     mass, plumb, outline = (
