@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 from coordlog.errors import StorageError
 from coordlog.record import manifest
+from coordlog.record.buckets import Bucket
 from coordlog.record.packs import Pack, is_shard, members_of
-from coordlog.record.places import Bucket, Entry, Folder, Place, is_url, split_url
+from coordlog.record.places import Entry, Folder, Place, is_url, split_url
 from coordlog.record.storage import translated
 
 EPISODE = ".mcap"

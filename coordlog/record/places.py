@@ -1,4 +1,4 @@
-"""Where bytes lie: a folder of this machine, or a prefix of an object store.
+"""Where bytes lie: a folder of this machine, or a prefix of an object store (`buckets`).
 
 Both can say what there is, read a range of it, and create what was not there. Neither ever replaces
 anything: of two writers of one name, one is told that it came second.
@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import timedelta
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -21,16 +18,6 @@ SCHEMES = {"s3": "AWS", "gs": "GOOGLE", "az": "AZURE"}
 """Object stores, and how the environment variables begin that their credentials are read from."""
 
 _URL = re.compile(r"^(?P<scheme>s3|gs|az):/+(?P<rest>.*)$")
-_TIMEOUTS: dict[str, Any] = {"connect_timeout": "5s", "timeout": "120s"}
-_RETRIES: Any = {
-    "max_retries": 5,
-    "retry_timeout": timedelta(seconds=30),
-    "backoff": {
-        "init_backoff": timedelta(milliseconds=100),
-        "max_backoff": timedelta(seconds=2),
-        "base": 2,
-    },
-}
 
 
 class MissingError(StorageError):
@@ -119,7 +106,7 @@ class Folder:
             if start:
                 stream.seek(start)
             data = _whole(stream, os.fstat(stream.fileno()).st_size - start, size)
-        return _require_whole(str(path), data, start, len(data) if size is None else size)
+        return require_whole(str(path), data, start, len(data) if size is None else size)
 
     def create(self, name: str, data: bytes) -> None:
         """Make a file, durably; see `storage.PartFile`.
@@ -148,7 +135,12 @@ class Folder:
             (self.path / name).unlink(missing_ok=True)
 
 
-def _require_whole(name: str, data: bytes, start: int, size: int) -> bytes:
+def require_whole(name: str, data: bytes, start: int, size: int) -> bytes:
+    """The bytes of a range, if it is as long as was asked for.
+
+    Raises:
+        StorageError: if the file or object ended before.
+    """
     if len(data) < size:
         raise StorageError(
             f"{name}: expected {size} bytes from byte {start} on, got {len(data)}: it was cut off"
@@ -163,130 +155,6 @@ def _whole(stream: Any, left: int, size: int | None) -> bytes:
     while len(data) < wanted and (more := stream.read(wanted - len(data))):
         data += more
     return bytes(data)
-
-
-class Bucket:
-    """A prefix of an object store, such as s3://BUCKET/PREFIX; gs and az likewise.
-
-    Credentials come from the environment's standard places alone (AWS_ACCESS_KEY_ID and so on). An
-    object is read in one request and created in one, on the condition that there is none.
-
-    Example:
-        >>> Bucket("s3://robots/logs").read("a.mcap")  # doctest: +SKIP
-    """
-
-    def __init__(self, url: str | os.PathLike[str]) -> None:
-        """Connect to nothing yet.
-
-        Raises:
-            ConfigError: if the address or the environment is not what the library wants.
-        """
-        scheme, rest = split_url(url)
-        self.address = f"{scheme}://{rest}".rstrip("/")
-        self._variables = SCHEMES[scheme]
-        from obstore.exceptions import BaseError
-        from obstore.store import from_url
-
-        try:
-            self._store = from_url(
-                self.address,
-                client_options=_options(),
-                retry_config=_RETRIES,
-            )
-        except (BaseError, ValueError) as error:
-            raise ConfigError(f"{self.address}: {_brief(error)}") from None
-
-    def entries(self, below: str = "") -> list[Entry]:
-        """Objects directly below a prefix, by name, in one request for each thousand."""
-        import obstore
-
-        with self._translated(below or self.address, "list"):
-            found = obstore.list_with_delimiter(self._store, below or None)["objects"]
-        return sorted(map(_entry, found))
-
-    def everything(self) -> list[Entry]:
-        """All objects below the prefix, at any depth, by name."""
-        import obstore
-
-        with self._translated(self.address, "list"):
-            return sorted(_entry(meta) for batch in obstore.list(self._store) for meta in batch)
-
-    def entry(self, name: str) -> Entry | None:
-        """One object; None if there is none."""
-        import obstore
-
-        try:
-            with self._translated(name, "look at"):
-                return _entry(obstore.head(self._store, name))
-        except MissingError:
-            return None
-
-    def read(self, name: str, start: int = 0, size: int | None = None) -> bytes:
-        """An object, or a range of it, in one request.
-
-        Raises:
-            StorageError: if there is none, or the store refuses or does not answer.
-        """
-        import obstore
-
-        with self._translated(name, "read"):
-            if size is None and not start:
-                return bytes(obstore.get(self._store, name).bytes())
-            if size is None:
-                reply = obstore.get(self._store, name, options={"range": {"offset": start}})
-                return bytes(reply.bytes())
-            data = bytes(obstore.get_range(self._store, name, start=start, length=size))
-        return _require_whole(f"{self.address}/{name}", data, start, size)
-
-    def create(self, name: str, data: bytes) -> None:
-        """Make an object in one request, unless there is another one of that name.
-
-        A request whose answer was lost is sent again, and then finds its own work: the same bytes
-        under the name are no clash.
-
-        Raises:
-            StorageError: if the name is taken, or the store refuses or does not answer.
-        """
-        import obstore
-        from obstore.exceptions import AlreadyExistsError
-
-        with self._translated(name, "create"):
-            try:
-                obstore.put(self._store, name, data, mode="create", use_multipart=False)
-            except AlreadyExistsError:
-                if self.read(name) != data:
-                    raise
-
-    def remove(self, name: str) -> None:
-        """Delete an object; none there is no error.
-
-        Raises:
-            StorageError: if the store refuses or does not answer.
-        """
-        import obstore
-
-        with self._translated(name, "delete"):
-            obstore.delete(self._store, name)
-
-    @contextmanager
-    def _translated(self, name: str, doing: str) -> Iterator[None]:
-        """Turn what the store says into one sentence: which object, what it said, what to set."""
-        from obstore.exceptions import AlreadyExistsError, BaseError, NotFoundError
-
-        where = name if name.startswith(self.address) else f"{self.address}/{name}"
-        try:
-            yield
-        except AlreadyExistsError:
-            raise StorageError(
-                f"{where}: the object exists and is not overwritten; choose another name"
-            ) from None
-        except (NotFoundError, FileNotFoundError):
-            raise MissingError(f"{where}: no such object or bucket") from None
-        except (BaseError, OSError) as error:
-            raise StorageError(
-                f"{where}: cannot {doing}: {_brief(error)}; the store's address and credentials"
-                f" are read from {self._variables}_… in the environment"
-            ) from None
 
 
 def is_url(path: str | os.PathLike[str]) -> bool:
@@ -318,20 +186,3 @@ def require_folder(path: str | os.PathLike[str], option: str = "--out") -> None:
             f"{option}: expected a folder of this machine, got {os.fspath(path)}; only `coordlog"
             " record` writes into an object store"
         )
-
-
-def _entry(meta: Any) -> Entry:
-    return Entry(meta["path"], meta["size"], int(meta["last_modified"].timestamp() * 1e6) * 1000)
-
-
-def _options() -> Any:
-    """Timeouts; without TLS only where the environment names an endpoint without it."""
-    names = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
-    plain = any(os.environ.get(name, "").startswith("http://") for name in names)
-    return {**_TIMEOUTS, "allow_http": plain}
-
-
-def _brief(error: BaseException) -> str:
-    """The first line of what a store said, without its inner workings."""
-    text = " ".join(str(error).split("\n\nDebug source")[0].split())
-    return text if len(text) <= 300 else f"{text[:300]} …"

@@ -15,10 +15,11 @@ from typing import Self
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, is_pack, listed
+from coordlog.record.buckets import Bucket
 from coordlog.record.files import find_files
 from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
 from coordlog.record.packs import is_shard
-from coordlog.record.places import Bucket, Entry, is_url
+from coordlog.record.places import Entry, is_url
 from coordlog.record.recording import Recording
 from coordlog.record.storage import move_new, refuse_existing, translated
 

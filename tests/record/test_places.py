@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from coordlog.errors import ConfigError, StorageError
-from coordlog.record.places import Bucket, Folder, is_url, split_url
+from coordlog.record.buckets import Bucket
+from coordlog.record.places import Folder, is_url, split_url
 from tests.record.s3 import ENVIRONMENT, Server
 
 
