@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from coordlog.episode import Array, Json
+from coordlog.path import Bools, Floats, Ints
 from coordlog.spec import Field
 
 # ---------------------------------------------------------------------------------------- nouns
@@ -313,18 +315,54 @@ class Env(Protocol):
         ...
 
 
-class Checker(Protocol):
-    """How close postures of one robot in one scene are to touching anything.
+class Verdict(NamedTuple):
+    """What a checker says about n configurations.
 
     Example:
-        >>> checker.slack(qpos).min() > 0.0                     # doctest: +SKIP
+        >>> Verdict.from_slack(np.array([[0.1, -0.2]])).what.tolist()
+        [1]
+    """
+
+    free: Bools  # (n,) everything is allowed
+    depth: Floats  # (n,) m, by how much the worst pair falls short; 0 where free
+    what: Ints  # (n,) index of that pair, for `describe`; -1 where free
+
+    @classmethod
+    def from_slack(cls, slack: Floats) -> Verdict:
+        """Verdict on slacks [m] of shape (n, P): free where none is negative or NaN."""
+        if not slack.shape[1]:
+            return cls(np.ones(len(slack), bool), np.zeros(len(slack)), np.full(len(slack), -1))
+        what = slack.argmin(axis=1)
+        worst = slack[np.arange(len(slack)), what]
+        free = worst >= 0.0
+        depth = np.where(np.isnan(worst), np.inf, -worst)
+        return cls(free, np.where(free, 0.0, depth), np.where(free, -1, what))
+
+
+class Checker(Protocol):
+    """Decides which configurations are allowed: collision, self-collision, balance.
+
+    What a certificate needs besides is in smooth/feasibility.py.
+
+    Example:
+        >>> checker.check(time, angles, 0.01).free.all()        # doctest: +SKIP
         True
     """
 
-    def slack(self, qpos: Array) -> Array:
-        """Least signed clearance of configurations (n, n_q), (n,) [m]; negative where something
-        touches that should not.
+    def check(self, time: Floats, q: Floats, clearance: float) -> Verdict:
+        """Judge a block of configurations, in any order, independently of one another.
+
+        Args:
+            time: Time of each configuration within the path [s], shape (n,); for whatever else
+                moves with it, such as the base the log recorded.
+            q: Joint angles [rad], shape (n, n_j).
+            clearance: Distance [m] that pairs of bodies must keep; a pair closer than this is not
+                free. Balance has its own margin.
         """
+        ...
+
+    def describe(self, what: int) -> str:
+        """Name a pair of `Verdict.what` for people, such as "l_forearm and table_top"."""
         ...
 
 
@@ -332,17 +370,19 @@ class Learner(Protocol):
     """Updates the weights of a policy from batches of transitions.
 
     Example:
-        >>> metrics = learner.update(batch)                     # doctest: +SKIP
-        >>> metrics["critic_loss"]                              # doctest: +SKIP
-        0.12
+        >>> figures = learner.update(batch)                     # doctest: +SKIP
     """
 
-    def update(self, batch: Any) -> Mapping[str, Any]:
-        """One update from a batch (`train.replay.Batch`); figures of it by name."""
+    def update(self, batch: Any, *, behaviour_weight: float = 0.0, effort: float = 0.0) -> Any:
+        """One update from a batch (`train.replay.Batch`), and its figures."""
         ...
 
     def state(self) -> Mapping[str, Any]:
         """All that the next update depends on, by name."""
+        ...
+
+    def load_state(self, tensors: Mapping[str, Any]) -> None:
+        """Continue from a `state()`."""
         ...
 
 
@@ -350,14 +390,22 @@ class Store(Protocol):
     """Where episode files are kept: a folder, a pack, a bucket.
 
     Example:
-        >>> for name in store.list():                           # doctest: +SKIP
-        ...     data = store.read(name)
+        >>> for entry in store.list():                          # doctest: +SKIP
+        ...     data = store.read(entry.name)
     """
 
-    def list(self) -> Sequence[str]:
-        """Names of the episode files, in order."""
+    def list(self) -> Sequence[Any]:
+        """The episode files, by name: entries (`record.places.Entry`) of name, size and time."""
         ...
 
     def read(self, name: str) -> bytes:
         """All bytes of a file."""
+        ...
+
+    def path(self, name: str) -> Path:
+        """A file of this machine with those bytes."""
+        ...
+
+    def publish(self, name: str, part: Path) -> Path:
+        """Keep a finished file under a name, and say where it is."""
         ...

@@ -24,13 +24,13 @@ import numpy as np
 from typer.testing import CliRunner
 
 from coordlog import cli
-from coordlog.commands.check import check_files
 from coordlog.episode import Episode, Header
 from coordlog.errors import CoordlogError
 from coordlog.record import writer
 from coordlog.record.metadata import encode_header
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
+from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "trust.md"

@@ -1,12 +1,14 @@
 """The page of contracts: what a step led to, column by column."""
 
 import copy
+import inspect
 import pickle
 
 import mujoco
 import numpy as np
 import pytest
 
+from coordlog import contracts
 from coordlog.contracts import Outcome
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import SCENES
@@ -57,3 +59,40 @@ def test_ctrl_and_torque_are_those_at_the_end_of_the_step(name):
             assert outcome.torque[sim].tobytes() == data.actuator_force.tobytes()
             assert np.abs(outcome.torque[sim]).max() > 0.01
             before = after
+
+
+def implementers():
+    from coordlog.kinematics.clearance import SceneChecker
+    from coordlog.policies.damper import Shielded
+    from coordlog.policies.expert import Expert
+    from coordlog.policies.learned import Policy as Network
+    from coordlog.record.recorder import Recorder
+    from coordlog.record.store import LocalStore, PackStore
+    from coordlog.sim.replay import LogEnv, Logged, Traced
+    from coordlog.tasks.registry import TASKS
+    from coordlog.tasks.unknown import UnknownTask
+    from coordlog.train.digrad import Learner
+
+    return {
+        contracts.Task: [*(kind for kind, _ in TASKS.values()), UnknownTask],
+        contracts.Env: [BatchEnv, Recorder, LogEnv, Traced],
+        contracts.Policy: [Expert, Network, Shielded, Logged],
+        contracts.Checker: [SceneChecker],
+        contracts.Learner: [Learner],
+        contracts.Store: [LocalStore, PackStore],
+    }
+
+
+def test_whoever_implements_a_contract_has_its_members_with_its_arguments():
+    for contract, kinds in implementers().items():
+        members = {name for name in vars(contract) if not name.startswith("_")}
+        assert members
+        for kind in kinds:
+            for name in members:
+                asked = getattr(contract, name)
+                if not callable(asked):
+                    assert hasattr(kind, name) or name == "name", (kind, name)
+                    continue
+                wanted = inspect.signature(asked).parameters
+                got = inspect.signature(getattr(kind, name)).parameters
+                assert list(got)[: len(wanted)] == list(wanted), (kind, name)

@@ -13,9 +13,10 @@ import pyarrow as pa
 from coordlog.episode import Episode, Json
 from coordlog.errors import CoordlogError
 from coordlog.record.addresses import contents_of
+from coordlog.record.contents import contents
+from coordlog.record.decoding import decode
 from coordlog.record.opening import require_coordlog
 from coordlog.record.places import Entry
-from coordlog.record.reader import contents, decode
 
 COLUMNS = pa.schema(
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,21 +24,10 @@ from coordlog.parallel import batches, mapped
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from coordlog.episode import Array, Json
     from coordlog.verify.finding import Finding
 
-LEVELS = ("file", "content", "replay")
 BATCH = 32
 """Files that are replayed together: one simulation each."""
-
-
-class Checked(NamedTuple):
-    """What checking some files showed."""
-
-    findings: list[Finding]
-    inexact: dict[str, str]
-    files: int
-    steps: int
 
 
 def check(
@@ -67,6 +56,7 @@ def check(
         coordlog check logs/ --level content --json
     """
     from coordlog.record.files import find_files, nothing_found
+    from coordlog.verify.levels import LEVELS, check_files
 
     if level not in LEVELS:
         raise unknown("level", level, LEVELS)
@@ -108,51 +98,6 @@ def check(
         raise typer.Exit(EXIT_CHECK_FAILED)
     if left_out or files.parts:
         raise typer.Exit(EXIT_PARTIAL)
-
-
-def check_files(paths: list[Path], *, level: str) -> Checked:
-    """Check some files at a level; runs in a process of its own."""
-    from coordlog.verify.file import check as check_one
-
-    findings: list[Finding] = []
-    for path in paths:
-        try:
-            findings += check_one(
-                path, level="file" if level == "file" else "content", rewards=logged_rewards
-            )
-        except StorageError as error:  # it could be read a moment ago
-            findings.append(_unusable(path, error))
-    if level != "replay":
-        return Checked(findings, {}, len(paths), 0)
-    from coordlog.verify.physics import check_replay
-    from coordlog.verify.trial import runnable
-
-    damaged = {item.path for item in findings if item.level == "file"}
-    tried = runnable([path for path in paths if str(path) not in damaged])
-    findings += tried
-    damaged |= {item.path for item in tried}
-    replays = check_replay([path for path in paths if str(path) not in damaged])
-    return Checked(findings + replays.findings, replays.inexact, len(paths), replays.steps)
-
-
-def logged_rewards(
-    distance: Array,
-    boundary: Array,
-    goal: Array,
-    collision: Array,
-    instability: Array,
-    constants: Json,
-) -> Array:
-    """The reward equation with the constants of a log, (T, k)."""
-    from coordlog.config import build
-    from coordlog.tasks.config import RewardConfig
-    from coordlog.tasks.reach.reward import Flags, rewards
-
-    return rewards(
-        distance,
-        Flags(boundary, goal, collision, instability),
-        build(RewardConfig, constants),
-    )
 
 
 def _recognised(

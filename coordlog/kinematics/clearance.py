@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from coordlog.config import build
+from coordlog.contracts import Verdict
 from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.kinematics.base_motion import STATE, Logged, require_fit, speeds
 from coordlog.kinematics.geometry import geom_label
@@ -35,14 +36,6 @@ NEAR = 0.08
 Pairs whose bounding spheres are further apart get that lower bound.
 """
 NEVER = -1e3  # m: a contact margin that no contact meets
-
-
-class Verdict(NamedTuple):
-    """What a checker says about n configurations."""
-
-    free: Array  # (n,) bool
-    depth: Array  # (n,) m, by how much the worst pair falls short; 0 where free
-    what: Array  # (n,) index of that pair; -1 where free
 
 
 class Bodies(NamedTuple):

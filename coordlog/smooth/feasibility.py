@@ -24,50 +24,14 @@ alike.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from coordlog.path import Bools, Floats, Ints
+from coordlog.contracts import Checker, Verdict
+from coordlog.path import Floats
 
-
-class Verdict(NamedTuple):
-    """What a checker says about n configurations."""
-
-    free: Bools  # (n,) everything is allowed
-    depth: Floats  # (n,) m, by how much the worst pair falls short; 0 where free
-    what: Ints  # (n,) index of that pair, for `describe`; -1 where free
-
-    @classmethod
-    def from_slack(cls, slack: Floats) -> Verdict:
-        """Verdict on slacks [m] of shape (n, P): free where none is negative or NaN."""
-        if not slack.shape[1]:
-            return cls(np.ones(len(slack), bool), np.zeros(len(slack)), np.full(len(slack), -1))
-        what = slack.argmin(axis=1)
-        worst = slack[np.arange(len(slack)), what]
-        free = worst >= 0.0
-        depth = np.where(np.isnan(worst), np.inf, -worst)
-        return cls(free, np.where(free, 0.0, depth), np.where(free, -1, what))
-
-
-class Checker(Protocol):
-    """Decides which configurations are allowed: collision, self-collision, balance."""
-
-    def check(self, time: Floats, q: Floats, clearance: float) -> Verdict:
-        """Validator a block of configurations, in any order, independently of one another.
-
-        Args:
-            time: Time of each configuration within the path [s], shape (n,); for whatever else
-                moves with it, such as the base the log recorded.
-            q: Joint angles [rad], shape (n, n_j).
-            clearance: Distance [m] that pairs of bodies must keep; a pair closer than this is not
-                free. Balance has its own margin.
-        """
-        ...
-
-    def describe(self, what: int) -> str:
-        """Name a pair of `Verdict.what` for people, such as "l_forearm and table_top"."""
-        ...
+__all__ = ["Checker", "DistanceChecker", "MovingChecker", "Unobstructed", "Verdict"]
 
 
 @runtime_checkable

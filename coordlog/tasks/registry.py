@@ -29,6 +29,22 @@ SAID = ("name", "fields")
 """What a `coordlog.env` record says of a task besides the constants that are the task's own."""
 
 
+def register(task: type[Any], own: type[Any] | None = None) -> None:
+    """Add a task under its name, for this process.
+
+    Args:
+        task: Class with the members of `contracts.Task`, made from `EnvConfig`, `RewardConfig` and,
+            if it has constants of its own, those.
+        own: Frozen dataclass of its own constants.
+
+    Raises:
+        ConfigError: if another task has the name.
+    """
+    if task.name in TASKS and TASKS[task.name][0].__qualname__ != task.__qualname__:
+        raise ConfigError(f"task '{task.name}': expected a name that no other task has")
+    TASKS[task.name] = (task, own)
+
+
 def task_class(name: str) -> tuple[type[Any], type[Any] | None]:
     """The class of a task, and that of its own constants (None without any).
 

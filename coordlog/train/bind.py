@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
+
 from coordlog.config import build, plain
 from coordlog.contracts import Task as Rules
 from coordlog.episode import Array, Json
@@ -47,12 +49,7 @@ def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
     if reward is not None:
         env = env | {"reward": plain(reward)}
     rules = registry.task_of(env)
-    missing = [name for name in NEEDED if name not in names(rules.fields)]
-    if missing:
-        raise SpecError(
-            f"task '{rules.name}': expected fields {', '.join(NEEDED)} to learn from, "
-            f"got none called {', '.join(missing)}"
-        )
+    _require_learnable(rules, env["layout"]["k"])
     layout, places = env["layout"], StateView.from_json(env).places
     listed = tuple(places[name] for name in SPHERES if name in places)
     spheres = (
@@ -125,6 +122,25 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
 def _seen(value: object) -> object:
     """What learning sees of an entry: files of version 1 do not count actuators."""
     return {k: v for k, v in value.items() if k != "n_c"} if isinstance(value, dict) else value
+
+
+def _require_learnable(rules: Rules, k: int) -> None:
+    """Refuse a task whose rewards depend on what training does not keep."""
+    missing = [name for name in NEEDED if name not in names(rules.fields)]
+    if missing:
+        raise SpecError(
+            f"task '{rules.name}': expected fields {', '.join(NEEDED)} to learn from, "
+            f"got none called {', '.join(missing)}"
+        )
+    none, flag = np.zeros((1, k), dtype=bool), np.zeros(1, dtype=bool)
+    try:
+        _rewards(rules, np.zeros((1, k)), none, none, flag, flag)
+        _ended(rules, none, flag)
+    except KeyError as error:
+        raise SpecError(
+            f"task '{rules.name}': expected rewards and endings of {', '.join(NEEDED)} alone to "
+            f"learn from, got some that depend on {error}"
+        ) from None
 
 
 def _rewards(

@@ -182,6 +182,8 @@ def draw_hands(draft: Draft, stage: Stage) -> None:
 
     Of a smoothed path also its knots and its spline's line.
     """
+    if not stage.robot.arms:
+        return
     palms, path, spline = stage.motion.palms, stage.episode.path, stage.spline
     for i, arm in enumerate(stage.arms):
         colour = palette.cycle(palette.ARMS, i)

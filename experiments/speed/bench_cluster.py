@@ -25,8 +25,8 @@ from pathlib import Path
 
 from coordlog.commands.smoothing import Job, smooth_file
 
-from coordlog.commands.check import check_files
 from coordlog.parallel import batches, mapped
+from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[2]
 EPISODES = sorted((ROOT / "tests" / "data" / "v1").glob("*/*.mcap"))

@@ -168,7 +168,7 @@ def test_conditions_choose_among_the_parents(logs: Path, cache: Path, tmp_path: 
             ("--branch", "LOGS", "--where", "index = 9"),
             "--where: no episode of 4 satisfies: index = 9",
         ),
-        (("--branch", "EMPTY"), "no logs: expected episodes (.mcap) under"),
+        (("--branch", "EMPTY"), "no logs: no episodes (.mcap) under"),
         (
             ("--branch", "LOGS", "--scene", "table"),
             "--scene: expected the scene of the logs to branch from, 'spheres', got 'table'",

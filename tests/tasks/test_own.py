@@ -3,6 +3,7 @@ policy does."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,8 @@ def test_a_scene_of_a_file_is_the_object_of_that_name(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN)
     scene = scene_of(f"{tmp_path}/own.py:PLAIN")
     assert scene.name == "plain"
-    assert scene.robot is SCENES["planar"].robot
+    assert scene.robot.assets == tmp_path.resolve(), "files of its robot lie beside it"
+    assert replace(scene.robot, assets=None) == SCENES["planar"].robot
 
 
 def test_a_scene_that_ships_is_found_by_its_name() -> None:

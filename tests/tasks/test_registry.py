@@ -8,6 +8,7 @@ from coordlog.errors import ConfigError
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.sim.env import BatchEnv
 from coordlog.spec import after, before, names
+from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.progress import Progress
 from coordlog.tasks.registry import TASKS, follow, make_task, task_of
@@ -130,3 +131,16 @@ def test_another_episode_begins_afresh():
     row["goal"], row["collision"] = np.ones((2, 2), bool), np.zeros(2, bool)
     progress.add(ids, row)
     assert progress.clean(ids).tolist() == [True, True]
+
+
+def test_a_task_registers_itself_and_takes_no_other_ones_name(monkeypatch):
+    class Hasty(TASKS["reach"][0]):
+        name = "hasty"
+
+    monkeypatch.setattr(registry, "TASKS", dict(TASKS))
+    registry.register(Hasty)
+    registry.register(Hasty)  # a file that is run again
+    assert isinstance(task("hasty"), Hasty)
+    Hasty.name = "hold"
+    with pytest.raises(ConfigError, match="task 'hold': expected a name that no other task has"):
+        registry.register(Hasty)
