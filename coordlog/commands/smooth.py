@@ -42,7 +42,9 @@ def smooth(
     ] = None,
     max_deviation: Annotated[
         float | None,
-        typer.Option(help="Farthest a joint may go from the log: rad, or m for slides."),
+        typer.Option(
+            help="Farthest a joint may go from the log: rad, m for slides.", metavar="RAD"
+        ),
     ] = None,
     clearance: Annotated[
         float,

@@ -27,6 +27,9 @@ TRANSFORM = "smooth"
 SKIPPED = "skipped"
 STATUSES = ("smoothed", "partly", "kept_raw", "raw_infeasible", SKIPPED)
 
+DEFAULTS: Json = {"method": "local", "cutoff": "max", "max_deviation": None, "clearance": 0.005}
+"""Options of a batch that are not given."""
+
 
 class Job(NamedTuple):
     """One episode to smooth."""
@@ -64,7 +67,7 @@ def plan(
     Args:
         paths: Episode files, or folders that are searched at any depth.
         out: Folder for the outputs, laid out as the input.
-        settings: Options of `coordlog.smooth.smooth`.
+        settings: Options of `coordlog.smooth.smooth` that are not as in `DEFAULTS`.
         write: Write the outputs; without it, only smooth and execute.
         force: Replace outputs that were made with other settings or from other files.
 
@@ -79,6 +82,7 @@ def plan(
     from coordlog.record.reader import probe
     from coordlog.smooth.config import Config
 
+    settings = DEFAULTS | settings
     Config.of(**settings)
     folders = sum(path.is_dir() for path in paths)
     work: dict[Path, Job] = {}
