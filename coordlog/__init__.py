@@ -1,8 +1,12 @@
 """coordlog: robot episodes that are never lost, never silently wrong, and always replayable.
 
->>> import coordlog
->>> for episode in coordlog.open("logs/"):  # doctest: +SKIP
-...     print(episode.header.episode["scene"], len(episode), episode.result.clean)
+Verbs do what the commands of the same name do; nouns are what they take and return.
+
+Example:
+    >>> import coordlog
+    >>> coordlog.record("table", episodes=64, out="logs")  # doctest: +SKIP
+    >>> for episode in coordlog.open("logs"):  # doctest: +SKIP
+    ...     print(episode.header.episode["scene"], len(episode), episode.result.clean)
 """
 
 from __future__ import annotations
@@ -13,23 +17,39 @@ from typing import Any
 from coordlog.version import __version__
 
 _HOMES = {
+    "CoordlogError": "coordlog.errors",
     "Dataset": "coordlog.record.dataset",
     "Episode": "coordlog.episode",
     "GymEnv": "coordlog.sim.gym",
-    "open": "coordlog.record.dataset",
-    "smooth": "coordlog.smooth",
-    "to_rerun": "coordlog.view",
+    "Path": "coordlog.path",
+    "Recorder": "coordlog.record.foreign",
+    "Recording": "coordlog.record.recording",
+    "Robot": "coordlog.robots.robot",
+    "Scene": "coordlog.tasks.scene",
+    "Task": "coordlog.contracts",
+    "check": "coordlog.api",
+    "errors": "",
+    "export": "coordlog.api",
+    "open": "coordlog.api",
+    "record": "",
+    "recording": "coordlog.record.foreign",
+    "smooth": "",
+    "to_rerun": "coordlog.view.recording",
+    "train": "",
+    "view": "",
 }
+"""Where each public name lives; "" for a module or callable package of its own."""
 
-__all__ = ["Dataset", "Episode", "GymEnv", "__version__", "open", "smooth", "to_rerun"]
+__all__ = [*_HOMES, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first asked for, so that `import coordlog` stays light."""
     if name not in _HOMES:
         raise AttributeError(f"module 'coordlog' has no attribute '{name}'")
-    return getattr(import_module(_HOMES[name]), name)
+    home = _HOMES[name]
+    return getattr(import_module(home), name) if home else import_module(f"coordlog.{name}")
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)

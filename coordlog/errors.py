@@ -69,7 +69,6 @@ EXTRA_OF = {
     "rosbags": "exchange",
     "h5py": "exchange",
     "av": "exchange",
-    "pandas": "exchange",
     "obstore": "cloud",
     "ray": "cluster",
 }

@@ -8,6 +8,7 @@ callable instead, and calls the function of its name in `coordlog.api`.
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -22,8 +23,7 @@ class Verb(ModuleType):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Do what the function of this name in `coordlog.api` does."""
-        from coordlog import api
-
+        api = import_module("coordlog.api")
         return getattr(api, self.__name__.rpartition(".")[2])(*args, **kwargs)
 
 

@@ -26,7 +26,7 @@ from coordlog.sim.replay import Log
 from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
 from coordlog.smooth.limits import Limits
-from coordlog.smooth.recorded import FASTER, fastest_of
+from coordlog.smooth.lineage import FASTER, fastest_of
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness

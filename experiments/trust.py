@@ -16,6 +16,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -24,13 +25,13 @@ import numpy as np
 from typer.testing import CliRunner
 
 from coordlog import cli
-from coordlog.commands.check import check_files
 from coordlog.episode import Episode, Header
 from coordlog.errors import CoordlogError
 from coordlog.record import writer
 from coordlog.record.metadata import encode_header
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
+from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "trust.md"
@@ -132,8 +133,10 @@ def harm_bytes(
     return found
 
 
-def forged(header: Header, rng: np.random.Generator) -> tuple[str, dict[str, dict[str, str]]]:
-    """The records of a header, one value of which is odd or missing, and which."""
+def forged(
+    header: Header, *, rng: np.random.Generator, said: list[str]
+) -> dict[str, dict[str, str]]:
+    """The records of a header, one value of which is odd or missing; which one is added to `said`."""
     records = {name: dict(values) for name, values in encode_header(header).items()}
     name = str(rng.choice(sorted(records)))
     key = str(rng.choice(sorted(records[name]) or ["new"]))
@@ -152,7 +155,8 @@ def forged(header: Header, rng: np.random.Generator) -> tuple[str, dict[str, dic
         key = f"{key}.{part}"
     else:
         records[name][key] = odd
-    return f"{name} {key} = {odd[:20]}", records
+    said.append(f"{name} {key} = {odd[:20]}")
+    return records
 
 
 def harm_metadata(
@@ -166,13 +170,14 @@ def harm_metadata(
     episode, attached = read_episode(source), read_attachments(source)
     path = folder / "forged.mcap"
     for _ in range(count):
-        what, records = forged(episode.header, rng)
         path.unlink(missing_ok=True)
+        said: list[str] = []
         with (
-            patch.object(writer, "encode_header", lambda _, made=records: made),
+            patch.object(writer, "encode_header", partial(forged, rng=rng, said=said)),
             patch.object(writer, "require_readable", lambda _: None),
         ):
             write_episode(path, episode, attachments=attached, display=False)
+        what = said[0]
         words = commands[int(rng.integers(len(commands)))]
         shutil.rmtree(folder / "out", ignore_errors=True)
         (folder / "out.mcap").unlink(missing_ok=True)
@@ -353,14 +358,23 @@ EVERY = (
 """Commands that take an episode file."""
 
 
+def recorded(folder: Path) -> Path:
+    """A small episode of today's format."""
+    out = folder / "recorded"
+    words = ("record", "--scene", "planar", "--episodes", "1", "--envs", "1", "--threads", "1")
+    code, said, error = command(*words, "--seed", "14", "--out", out)
+    assert code == 0, (said, error)
+    return next(out.glob("*.mcap"))
+
+
 def main() -> None:
     """Draw many harms, and write what became of them into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=2000, help="harms of a kind of bytes")
     count = parser.parse_args().count
-    source = next((ROOT / "tests" / "data" / "v1" / "planar").glob("*.mcap"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        source = recorded(folder)
         rows = {}
         for how, what in ((flipped, "one bit flipped"), (cut, "cut off"), (smeared, "overwritten")):
             for check in (False, True):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from coordlog.commands.check import check_files
 from coordlog.record.dataset import open as open_logs
 from coordlog.record.reader import read_episode
+from coordlog.verify.levels import check_files
 
 DATA = Path(__file__).parent / "data"
 EPISODES = sorted(DATA.glob("v*/*/*.mcap"))

@@ -29,8 +29,8 @@ FLOORS = (
     {"policies", "record"},
     {"verify"},
     {"catalog", "exchange", "train", "smooth", "view"},
-    {"api"},
     {"commands"},
+    {"api"},
     {"cli"},
 )
 """From the ground up: a room may import rooms before it; those on one floor none of one another."""

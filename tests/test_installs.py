@@ -13,7 +13,7 @@ EXTRAS = {
     "train": ("torch", "safetensors", "duckdb"),
     "view": ("rerun", "rerun_cli", "matplotlib", "PIL"),
     "tensorboard": ("tensorboard",),
-    "exchange": ("rosbags", "h5py", "av", "pandas"),
+    "exchange": ("rosbags", "h5py", "av"),
     "cloud": ("obstore",),
     "cluster": ("ray",),
 }
@@ -21,8 +21,15 @@ EXTRAS = {
 
 BLOCKED = """
 import sys
-for name in {names!r}:
-    sys.modules[name] = None  # importing it raises ImportError
+
+
+class Missing:  # finds nothing of what an extra would have brought
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {names!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+
+sys.meta_path.insert(0, Missing())
 sys.argv = ["coordlog", *{arguments!r}]
 from coordlog.cli import main
 main()

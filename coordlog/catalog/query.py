@@ -70,7 +70,7 @@ def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = F
                 stream = StepStream([Path(path) for (path,) in paths])
                 connection.register("steps", stream)
             connection.execute("set lock_configuration = true")
-            return connection.sql(sql).to_arrow_table()
+            return _require_names(connection.sql(sql).to_arrow_table())
         except duckdb.Error as error:
             if stream is not None and stream.error is not None:
                 raise stream.error from None
@@ -91,6 +91,17 @@ def _require_select(connection: Any, sql: str) -> None:
         raise ConfigError(
             f"SQL: expected one SELECT, got {got}; a query reads the catalogue and changes nothing"
         )
+
+
+def _require_names(table: pa.Table) -> pa.Table:
+    """Refuse columns of one name: as rows, all but one of them would be lost."""
+    names = table.column_names
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(
+            f"SQL: two columns are called {twice[0]}; give one another name, {twice[0]} as …"
+        )
+    return table
 
 
 def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:

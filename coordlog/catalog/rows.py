@@ -12,10 +12,8 @@ import pyarrow as pa
 
 from coordlog.episode import Episode, Json
 from coordlog.errors import CoordlogError
-from coordlog.record.addresses import contents_of
-from coordlog.record.opening import require_coordlog
 from coordlog.record.places import Entry
-from coordlog.record.reader import contents, decode
+from coordlog.record.recording import Recording
 
 COLUMNS = pa.schema(
     [
@@ -23,6 +21,7 @@ COLUMNS = pa.schema(
         ("size", pa.int64()),
         ("mtime", pa.int64()),
         ("digest", pa.string()),
+        ("kind", pa.string()),
         ("run", pa.string()),
         ("task", pa.string()),
         ("scene", pa.string()),
@@ -59,6 +58,7 @@ MEANING = {
     "mtime": "when the file was changed last, ns since the epoch",
     "digest": "sha256 of the file",
     "goal": "the same for episodes with the same goals and obstacles in the same scene",
+    "kind": "simulated here, or observed elsewhere",
     "start_time": "ns since the epoch",
     "duration": "simulated seconds",
     "length": "steps",
@@ -88,21 +88,20 @@ def described(job: Job) -> list[dict[str, Any]]:
 def _row(path: Path, entry: Entry) -> dict[str, Any]:
     known = {"path": entry.name, "size": entry.size, "mtime": entry.mtime}
     try:
-        data = contents_of(path)
-        require_coordlog(data)
-        return known | episode_row(decode(contents(data)), hashlib.sha256(data).hexdigest())
+        return known | episode_row(Recording(path))
     except CoordlogError as error:
-        return known | {"error": str(error).removeprefix(f"{path}: ")}
+        return known | {"error": str(error).replace(f"{path}: ", "")}
 
 
-def episode_row(episode: Episode, digest: str) -> dict[str, Any]:
+def episode_row(recording: Recording) -> dict[str, Any]:
     """What a catalogue says of an episode, apart from where its file is."""
-    header, result = episode.header, episode.result
+    header, result, episode = recording.header, recording.result, recording.episode
     about, lineage, policy = header.episode, header.lineage, header.policy
     return {
-        "digest": digest,
+        "digest": recording.digest,
+        "kind": header.kind,
         "run": about.get("run"),
-        "task": header.env.get("task", {}).get("name", "reach"),
+        "task": header.task,
         "scene": about.get("scene"),
         "robot": about.get("robot"),
         "policy": policy.get("name") or policy.get("kind"),
@@ -141,8 +140,7 @@ def tombstones(names: Sequence[str]) -> pa.Table:
 
 
 def _any(episode: Episode, name: str) -> bool | None:
-    values = getattr(episode, name, None)
-    return None if values is None else bool(values.any())
+    return bool(getattr(episode, name).any()) if episode.has(name) else None
 
 
 def _goal(about: Json) -> str:

@@ -110,7 +110,7 @@ def select(
     """
     table = ask(_statement(unique, split), gathered.sources, where=where)
     columns = {name: table.column(name).to_pylist() for name in table.column_names}
-    folders: dict[str, str] = {}
+    folder, known = out.parent, dict[str, str]()
     without = {each.digest for manifest in minus for each in manifest.chosen}
     parts = (
         map(split.part, columns[split.by]) if split else (each or "" for each in columns["part"])
@@ -120,8 +120,8 @@ def select(
     chosen: dict[str, Chosen] = {}
     for digest, size, mtime, path, part, name in zip(*fields, parts, labels, strict=False):
         if digest not in without and digest not in chosen:
-            where_it_is = _from(path, out.parent, folders)
-            chosen[digest] = Chosen(digest, part, name or "", size, mtime, where_it_is)
+            place = _from(path, folder, known)
+            chosen[digest] = Chosen(digest, part, name or "", size, mtime, place)
     about: dict[str, Any] = {
         "sources": sorted({_from(folder, out.parent, {}) for folder in gathered.folders}),
         "where": where,
@@ -152,13 +152,13 @@ def _statement(unique: str, split: Split | None) -> str:
 
 
 def _from(path: str, folder: Path, known: dict[str, str]) -> str:
-    """A path from a folder on; `known` remembers folders that were asked for before."""
-    if is_url(path) or os.path.isabs(path):
-        return path
-    head, tail = os.path.split(path)
+    """A path from a folder on; `known` remembers what becomes of the folders that it lies in."""
+    head, _, tail = path.rpartition("/")
     if head not in known:
-        known[head] = os.path.relpath(head or ".", folder)
-    return tail if known[head] == "." else f"{known[head]}/{tail}"
+        whole = is_url(path) or os.path.isabs(path)
+        before = head if whole else os.path.relpath(head or ".", folder)
+        known[head] = "" if before == "." else f"{before}/"
+    return known[head] + tail
 
 
 @dataclass(frozen=True)

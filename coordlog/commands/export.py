@@ -10,6 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.errors import EXIT_PARTIAL, ConfigError
+from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,7 +48,7 @@ def export(
             metavar="SOURCE",
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
     ] = False,
@@ -70,7 +71,9 @@ def export(
     from coordlog.exchange.blocks import Options, format_of
     from coordlog.exchange.blocks import export as write
     from coordlog.exchange.source import entries
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     format_of(to)
     width, height = _size(size)
     options = Options(to, tuple(camera or ()), width, height, storage)

@@ -43,7 +43,7 @@ def migrate(
 
         coordlog migrate logs/ --out migrated/
     """
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import find_files
 
     pairs = [
         (name, out / (name.relative_to(root) if root.is_dir() else name.name))

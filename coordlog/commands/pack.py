@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.asking import gathered
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError, StorageError
+from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 from coordlog.parallel import JOBS_HELP, SHARD_HELP
 from coordlog.parallel import shard as share
 
@@ -45,10 +45,9 @@ def pack(
         coordlog check PACK/
     """
     from coordlog.catalog.packing import pack_files
-    from coordlog.record.places import is_url
+    from coordlog.record.places import require_folder
 
-    if is_url(out):
-        raise ConfigError(f"--out {out}: expected a folder; pack there and copy the shards")
+    require_folder(out)
     files, left_out = _found(path)
     work = share(files, shard)
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
@@ -61,7 +60,7 @@ def pack(
             stop=lambda: bool(interrupted),
         )
     if catalogue and not interrupted:
-        left_out += gathered([out], jobs=jobs).left_out
+        left_out += [f"skipped: {each}" for each in gathered([out], jobs=jobs).left_out]
     _tell(done, f"{out}: {done.files:,} episodes packed", as_json=as_json)
     _finish(bool(interrupted), left_out)
 
@@ -82,7 +81,9 @@ def unpack(
         coordlog unpack PACK/ --out logs/
     """
     from coordlog.catalog.packing import unpack_files
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     files, left_out = _found(path)
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task("unpacking", total=len(files), note="")
@@ -96,16 +97,21 @@ def unpack(
 def _found(paths: Sequence[Path]) -> tuple[list[tuple[Path, str]], list[str]]:
     """Episodes and their names from what was named on, and what was left out."""
     from coordlog.record.addresses import name_within
-    from coordlog.record.dataset import find_files
+    from coordlog.record.files import find_files, nothing_found
 
     files: list[tuple[Path, str]] = []
+    left_out: list[str] = []
     for path in paths:
         found = find_files(path)
+        if not found.paths:
+            raise nothing_found([path], found)
         several = len(paths) > 1
         files += [(each, name_within(each, path, several=several)) for each in found.paths]
-    if not files:
-        raise StorageError(f"no episodes (.mcap) under {', '.join(map(str, paths))}")
-    return files, []
+        left_out += [f"skipped: {each}: {reason}" for each, reason in found.skipped]
+        left_out += [
+            f"unfinished: {part}; `coordlog recover` makes an episode of it" for part in found.parts
+        ]
+    return files, left_out
 
 
 def _tell(done: Packed, text: str, *, as_json: bool) -> None:
@@ -120,7 +126,7 @@ def _tell(done: Packed, text: str, *, as_json: bool) -> None:
 
 def _finish(interrupted: bool, left_out: list[str]) -> None:
     for reason in left_out:
-        terminal.note(f"skipped: {reason}")
+        terminal.note(reason)
     if interrupted:
         terminal.note("interrupted; the same command goes on where it stopped")
         raise typer.Exit(EXIT_INTERRUPTED)

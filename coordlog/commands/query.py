@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -69,7 +70,7 @@ def query(
         _write(table, out)
         terminal.out.print(f"{out}: {table.num_rows:,} rows", highlight=False, markup=False)
     elif as_json:
-        terminal.print_json(table.to_pylist())
+        terminal.print_json(_rows(table))
     else:
         _show(table)
     if found.left_out:
@@ -83,7 +84,7 @@ def _write(table: pa.Table, out: Path) -> None:
     from coordlog.record.places import Folder
 
     if out.suffix == ".json":
-        data = json.dumps(table.to_pylist(), indent=2, ensure_ascii=False, default=str).encode()
+        data = json.dumps(_rows(table), indent=2, ensure_ascii=False).encode()
     elif out.suffix == ".csv":
         import pyarrow.csv as arrow_csv
 
@@ -99,6 +100,21 @@ def _write(table: pa.Table, out: Path) -> None:
     Folder(out.parent).create(out.name, data)
 
 
+def _rows(table: pa.Table) -> list[dict[str, Any]]:
+    """The rows as JSON values: sums of whole numbers come as decimals, times as texts."""
+    return [{name: _plain(value) for name, value in row.items()} for row in table.to_pylist()]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() else float(value)
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    return value if isinstance(value, int | float | str | None) else str(value)
+
+
 def _flat(table: pa.Table) -> pa.Table:
     """A table whose lists are JSON texts: CSV has no lists."""
     import json
@@ -107,7 +123,7 @@ def _flat(table: pa.Table) -> pa.Table:
 
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
-            texts = [json.dumps(value) for value in table.column(at).to_pylist()]
+            texts = [json.dumps(_plain(value)) for value in table.column(at).to_pylist()]
             table = table.set_column(at, field.name, pa.array(texts))
     return table
 

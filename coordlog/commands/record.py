@@ -27,8 +27,18 @@ def record(
             help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
         ),
     ] = "",
+    env_id: Annotated[
+        str,
+        typer.Option(
+            "--env",
+            help="A Gymnasium environment on MuJoCo by its id, such as Reacher-v5, in place of a scene.",
+        ),
+    ] = "",
     policy: Annotated[
-        str, typer.Option(help="expert, random, still, pretrained, or a run folder or policy file.")
+        str,
+        typer.Option(
+            help="expert, random, still, pretrained, or a run folder or policy file; with --env random, FILE.py:NAME or a model of stable-baselines3."
+        ),
     ] = "expert",
     episodes: Annotated[
         int | None, typer.Option(min=1, help="How many; by default 10, or one per branch.")
@@ -103,8 +113,22 @@ def record(
 
         coordlog record --episodes 1000 --shard 3/8 --pack --out PACK/
 
+        coordlog record --env Reacher-v5 --policy mine.py:POLICY --out logs/reacher
+
         coordlog record --branch logs/visited --where "not clean" --out logs/corrected
     """
+    if env_id:
+        from coordlog.commands.foreign import record_environment
+
+        if scene or branch or where or config:
+            raise ConfigError(
+                "--env: an environment of its own, expected no --scene, --branch, --where or --config beside it"
+            )
+        acts = "" if policy == "expert" else policy
+        record_environment(
+            env_id, acts, episodes=episodes or 10, seed=seed, out=out, as_json=as_json
+        )
+        return
     from coordlog.commands.logs import load_logs
     from coordlog.config import read_toml
     from coordlog.policies.registry import DEFAULT_SCENE, about, make_policy, policy_file

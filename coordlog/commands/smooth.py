@@ -12,6 +12,8 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
+from coordlog.parallel import JOBS_HELP, SHARD_HELP
+from coordlog.parallel import shard as share
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
@@ -50,7 +52,8 @@ def smooth(
         Path | None,
         typer.Option(help="Write every figure of every episode to this JSON file.", metavar="FILE"),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    shard: Annotated[str, typer.Option(help=SHARD_HELP, metavar="I/N")] = "",
     dry_run: Annotated[
         bool,
         typer.Option("--dry-run", help="Smooth and execute, show the figures, write no episode."),
@@ -78,8 +81,10 @@ def smooth(
 
         coordlog smooth logs/ --out smoothed/ --cutoff 2 --clearance 0.01 --report report.json
     """
+    from coordlog.record.places import require_folder
     from coordlog.smooth.batch import SKIPPED, plan, summary
 
+    require_folder(out)
     settings = {
         "method": method,
         "cutoff": "max" if cutoff is None else cutoff,
@@ -92,6 +97,7 @@ def smooth(
             "choose another name, or pass --force"
         )
     batch = plan(path, out, settings, write=not dry_run, force=force)
+    batch = batch._replace(jobs=list(share(batch.jobs, shard)))
     began = time.perf_counter()
     rows, interrupted = _rows(batch, jobs)
     found = summary(rows, batch, settings, seconds=time.perf_counter() - began)
@@ -117,7 +123,7 @@ def smooth(
         raise typer.Exit(EXIT_PARTIAL)
 
 
-def _rows(batch: Batch, jobs: int) -> tuple[list[Json], bool]:
+def _rows(batch: Batch, jobs: str) -> tuple[list[Json], bool]:
     """Rows of the report, with a progress bar, and whether Ctrl-C stopped it."""
     from coordlog.smooth.batch import STATUSES
 

@@ -104,7 +104,7 @@ def export(
     out: Path,
     options: Options,
     *,
-    jobs: int = 1,
+    jobs: int | str = 1,
     force: bool = False,
     advance: Callable[[int], None] = lambda episodes: None,
 ) -> Done:
@@ -114,7 +114,7 @@ def export(
         chosen: Episodes, in the order they get their numbers.
         out: Folder of the set; appears when the set is complete.
         options: Format and cameras.
-        jobs: Processes; 0 for one per core.
+        jobs: See `parallel.mapped`.
         force: Replace what is at `out`.
         advance: Called with the number of episodes each time a block is there.
 

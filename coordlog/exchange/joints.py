@@ -79,9 +79,9 @@ def joints_of(model: mujoco.MjModel) -> dict[str, Joint]:
     """The hinges and slides of a model, by name."""
     found = {}
     for i in range(model.njnt):
-        kind = model.jnt_type[i]
-        hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
-        if not hinge and kind != mujoco.mjtJoint.mjJNT_SLIDE:
+        kind = int(model.jnt_type[i])
+        hinge = kind == int(mujoco.mjtJoint.mjJNT_HINGE)
+        if not hinge and kind != int(mujoco.mjtJoint.mjJNT_SLIDE):
             continue
         low, high = model.jnt_range[i] if model.jnt_limited[i] else (-np.inf, np.inf)
         name = model.joint(i).name or f"joint_{i}"

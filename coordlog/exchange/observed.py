@@ -176,7 +176,7 @@ def _env(robot: RobotModel | None, placed: Placed, name: str) -> Json:
         "task": {"name": "", "fields": []},
         "reward": {},
         "config": {},
-        "robot": {"name": name},
+        "robot": {"name": name} if robot is None else robot.spec(named),
         "joints": [
             {"name": joint.name, "qpos": joint.qpos, "qvel": joint.qvel} for joint in listed
         ],

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
 from coordlog.mjcf import compose, load_attached, pack_source
+from coordlog.mjcf.printing import Source, printed
 from coordlog.mjcf.source import whole
 from coordlog.robots.card import read_tables, robot_of
 from coordlog.robots.robot import Arm, Robot
@@ -36,6 +37,27 @@ class RobotModel(NamedTuple):
         """Names of the geoms by id; numbered where they have none."""
         return [self.model.geom(i).name or f"geom_{i}" for i in range(self.model.ngeom)]
 
+    def spec(self, joints: Sequence[str]) -> dict[str, Any]:
+        """The robot as a header names it, its arm made of the joints that were observed.
+
+        A bare model says nothing of hands: the hand is where its last observed joint leads.
+        """
+        name = self.hand(joints)
+        arm = Arm("arm", palm=name, joints=tuple(joints))
+        own = Robot(self.name, "", (arm,), poses={"stand": {}})
+        middle = self.model.stat.center.tolist()
+        return own.to_json() | {"centre": middle, "reach": float(self.model.stat.extent)}
+
+    def hand(self, joints: Sequence[str]) -> str:
+        """The site that stands for the hand: the last one on the last body that joints move."""
+        moved = [int(self.model.jnt_bodyid[self.model.joint(name).id]) for name in joints]
+        below = [
+            i
+            for i in range(self.model.nsite)
+            if _carries(self.model, max(moved), int(self.model.site_bodyid[i]))
+        ]
+        return str(self.model.site(below[-1]).name) if below else ""
+
 
 def read_model(given: str) -> RobotModel:
     """The model of a MJCF or URDF file, of a robot's card, or of one of our scenes.
@@ -49,7 +71,7 @@ def read_model(given: str) -> RobotModel:
         name, source = scene.robot.name, compose(scene, EnvConfig())
     elif path.is_file():
         robot = _robot(path)
-        name, source = robot.name, whole(robot)
+        name, source = robot.name, _with_hands(whole(robot))
     else:
         raise ConfigError(
             f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: {', '.join(sorted(SCENES))}"
@@ -60,6 +82,24 @@ def read_model(given: str) -> RobotModel:
     except FormatError as error:
         raise ConfigError(f"--robot {given}: {error}") from error
     return RobotModel(name, model, attachments)
+
+
+def _with_hands(source: Source) -> Source:
+    """The model with a site on every body that ends a chain, where a hand may be."""
+    spec = mujoco.MjSpec.from_string(source.text)
+    spec.assets = dict(source.assets)
+    for i, body in enumerate(spec.bodies):
+        if body.parent is not None and not body.bodies and not body.sites:
+            body.add_site(name=f"end_{body.name or i}")
+    spec.compile()
+    return Source(printed(spec), source.assets)
+
+
+def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
+    """Whether a body is another one or moves it."""
+    while other and other != body:
+        other = int(model.body_parentid[other])
+    return other == body
 
 
 def _robot(path: Path) -> Robot:

@@ -96,7 +96,11 @@ class SceneChecker:
         kinds = model.jnt_type[self._joints]
         self.units: tuple[str, ...] = tuple("m" if kind == SLIDE else "rad" for kind in kinds)
         """Unit of each action joint."""
-        turns = (kinds == HINGE) & (model.jnt_limited[self._joints] == 0)
+        free = model.jnt_limited[self._joints] == 0
+        self.limits: Array = model.jnt_range[self._joints].copy()
+        """Their ranges, infinite where unlimited, (n_u, 2)."""
+        self.limits[free] = -np.inf, np.inf
+        turns = (kinds == HINGE) & free
         self.continuous: tuple[int, ...] = tuple(np.flatnonzero(turns).tolist())
         """Which of the action joints turn without end."""
         self._slides: Array = np.flatnonzero(kinds == SLIDE)
@@ -271,22 +275,11 @@ class SceneChecker:
         model, data, n = self._model, self._data, len(qpos)
         centre, frame = np.empty((n, model.ngeom, 3)), np.empty((n, model.ngeom, 9))
         com, corners = np.empty((n, 2)), np.empty((n, len(self._corners), 3))
-        here, mid, site, position, matrix = (
-            data.qpos,
-            data.xipos,
-            data.site_xpos,
-            data.geom_xpos,
-            data.geom_xmat,
-        )
         for i in range(n):
-            here[:] = qpos[i]
+            data.qpos[:] = qpos[i]
             mujoco.mj_kinematics(model, data)
-            centre[i], frame[i], com[i], corners[i] = (
-                position,
-                matrix,
-                (self._mass @ mid)[:2],
-                site[self._corners],
-            )
+            centre[i], frame[i] = data.geom_xpos, data.geom_xmat
+            com[i], corners[i] = (self._mass @ data.xipos)[:2], data.site_xpos[self._corners]
         return Bodies(centre, frame, com, corners)
 
     def _balance(self, time: Array, com: Array, corners: Array) -> Array:

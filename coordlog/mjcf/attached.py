@@ -15,7 +15,7 @@ from xml.parsers import expat
 import mujoco
 import zstandard
 
-from coordlog.episode import MODEL_MJB, MODEL_XML
+from coordlog.episode import MODEL_XML
 from coordlog.errors import ConfigError, FormatError
 from coordlog.mjcf.printing import Source
 from coordlog.modest import is_plain, require_modest
@@ -67,7 +67,10 @@ def require_size(source: Source, whose: str) -> None:
 
 
 def load_attached(attachments: Mapping[str, bytes]) -> mujoco.MjModel:
-    """Compile the model a log carries, from the file's attachments.
+    """Compile the model a log carries, from the text and the assets among the file's attachments.
+
+    A compiled model (version 1 attached one too) is never loaded: a damaged one would end the
+    process inside MuJoCo.
 
     Raises:
         FormatError: as `load_model`.
@@ -75,7 +78,7 @@ def load_attached(attachments: Mapping[str, bytes]) -> mujoco.MjModel:
     assets = {
         name[len(ASSETS) :]: data for name, data in attachments.items() if name.startswith(ASSETS)
     }
-    return load_model(attachments.get(MODEL_XML), attachments.get(MODEL_MJB), assets)
+    return load_model(attachments.get(MODEL_XML), None, assets)
 
 
 def load_model(

@@ -37,6 +37,7 @@ ASIDE = (
     "num",
     "buffer",
     "stat",
+    "length",
     "vis",
     "group",
 )

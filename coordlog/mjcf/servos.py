@@ -100,6 +100,9 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
         gains = robot.gains(joint.name)
         if gains is not None and (own or joint.name in robot.action_joints):
             _serve(spec, joint, own[0] if own else None, gains)
+            if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+                # MuJoCo's default lets a stiff servo on a light link diverge.
+                spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         elif joint.name in robot.action_joints:
             faults.append(_without(joint.name, own))
     return faults

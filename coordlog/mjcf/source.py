@@ -258,13 +258,18 @@ def _keep_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             continue
         if body.explicitinertial and not every:
             continue
-        body.explicitinertial = True
-        body.mass = model.body_mass[body.id]
-        body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
-        body.inertia = model.body_inertia[body.id]
-        body.fullinertia = [np.nan] * 6
+        _state_inertia(body, model)
     if every:
         spec.compiler.inertiafromgeom, spec.compiler.settotalmass = FROM_GEOMS_IF_NONE, -1
+
+
+def _state_inertia(body: Any, model: mujoco.MjModel) -> None:
+    """Let a body say the inertia it has in a compiled model."""
+    body.explicitinertial = True
+    body.mass = model.body_mass[body.id]
+    body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+    body.inertia = model.body_inertia[body.id]
+    body.fullinertia = [np.nan] * 6
 
 
 def _hulls(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, bytes]:
@@ -312,8 +317,7 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
     robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
     try:
         spec = _read(robot)
-        spec.compile()
-        spec.copy_back(model)
+        _copy_back(spec, model)
         visual = _drop_pictures(spec)
         if not any(not geom.parent.explicitinertial for geom in visual):
             _delete(spec, visual)
@@ -323,3 +327,14 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
         return Source(printed(spec), files)
     except (ConfigError, SimulationError, ValueError, RuntimeError):
         return None
+
+
+def _copy_back(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Take over what has been changed in a model since it was compiled."""
+    spec.compile()
+    spec.copy_back(model)
+    spec.stat.meaninertia = np.nan  # worked out again by whoever compiles it
+    fresh = spec.compile()
+    for body in spec.bodies[1:]:
+        if model.body_mass[body.id] != fresh.body_mass[body.id]:  # it followed from its geoms
+            _state_inertia(body, model)

@@ -277,7 +277,7 @@ def _said(header: Header) -> Json:
     """What a header says, for the columns of `_SAID`."""
     episode, noise = header.episode, header.policy.get("noise")
     sigma = noise.get("sigma", 0.0) if isinstance(noise, dict) else 0.0
-    row = {key: _text(episode.get(key)) for key in ("scene", "split", "robot", "start")}
+    row: Json = {key: _text(episode.get(key)) for key in ("scene", "split", "robot", "start")}
     row |= {key: _whole(episode.get(key)) for key in ("seed", "index")}
     return row | {
         "policy": _text(header.policy.get("name")),

@@ -26,7 +26,8 @@ from coordlog.record.contents import contents
 from coordlog.record.decoding import joined, opened_episode
 from coordlog.record.files import SUFFIX as SUFFIX
 from coordlog.record.files import Files as Files
-from coordlog.record.files import Skipped, find_files
+from coordlog.record.files import Skipped as Skipped
+from coordlog.record.files import find_files as find_files
 from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import probe, read_episode

@@ -9,7 +9,7 @@ of the episode + simulated time, in integer ns, strictly increasing within a top
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from coordlog.record.cdr import (
     message_codec,
 )
 from coordlog.record.chunk import PREFIX_SIZE, Batch, decode, encode
-from coordlog.record.display import Shown
 from coordlog.record.schema import Column, column, require_fields
 from coordlog.record.topics import arm_topic, task_messages, topics
 from coordlog.spec import (
@@ -38,6 +37,9 @@ from coordlog.spec import (
     Message,
     arm_message,
 )
+
+if TYPE_CHECKING:
+    from coordlog.record.display import Shown
 
 NS = 1_000_000_000
 

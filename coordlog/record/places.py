@@ -307,6 +307,19 @@ def split_url(path: str | os.PathLike[str]) -> tuple[str, str]:
     return found["scheme"], found["rest"]
 
 
+def require_folder(path: str | os.PathLike[str], option: str = "--out") -> None:
+    """Refuse an object store where only a folder will do.
+
+    Raises:
+        ConfigError: if the path is an address of one.
+    """
+    if is_url(path):
+        raise ConfigError(
+            f"{option}: expected a folder of this machine, got {os.fspath(path)}; only `coordlog"
+            " record` writes into an object store"
+        )
+
+
 def _entry(meta: Any) -> Entry:
     return Entry(meta["path"], meta["size"], int(meta["last_modified"].timestamp() * 1e6) * 1000)
 

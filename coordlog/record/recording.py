@@ -11,7 +11,6 @@ import numpy as np
 
 from coordlog.episode import INITIAL_STATE, Array, Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.mjcf import load_attached
 from coordlog.record.contents import Contents, contents
 from coordlog.record.decoding import decode, require_header
 from coordlog.record.metadata import RESULT, decode_header, decode_result, vouched
@@ -121,6 +120,8 @@ class Recording:
         Raises:
             FormatError: if there is none, or MuJoCo refuses it.
         """
+        from coordlog.mjcf import load_attached
+
         with naming(self.source):
             return load_attached(self.attachments)
 

@@ -15,7 +15,7 @@ import uuid
 from pathlib import Path
 from typing import Self
 
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 from coordlog.record.places import is_url
 from coordlog.record.storage import translated
 from coordlog.record.store import Store

@@ -15,10 +15,11 @@ from typing import Self
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, is_pack, listed
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
 from coordlog.record.packs import is_shard
 from coordlog.record.places import Bucket, Entry, is_url
+from coordlog.record.recording import Recording
 from coordlog.record.storage import move_new, refuse_existing, translated
 
 
@@ -46,6 +47,10 @@ class Store(ABC):
             StorageError: if there is none, or it cannot be read.
         """
         return contents_of(self.path(name))
+
+    def open(self, name: str) -> Recording:
+        """An episode; nothing is read yet."""
+        return Recording(self.path(name))
 
     def close(self) -> None:
         """Finish what was published."""

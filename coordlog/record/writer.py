@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path as FilePath
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from coordlog.errors import FormatError, SpecError
 from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
 from coordlog.record.decoding import payload_crc
-from coordlog.record.display import Shown
 from coordlog.record.messages import Columns, Encoder
 from coordlog.record.metadata import RESULT, encode_commit, encode_header, require_readable
 from coordlog.record.storage import PartFile
@@ -29,6 +29,9 @@ from coordlog.record.tally import Tally
 from coordlog.record.topics import is_logged, topics
 from coordlog.spec import CORE, INPUTS, Field, before
 from coordlog.version import __version__
+
+if TYPE_CHECKING:
+    from coordlog.record.display import Shown
 
 LIBRARY = f"coordlog/{__version__}"
 BLOCK = 25
@@ -78,7 +81,7 @@ class EpisodeWriter:
             raise SpecError(f"header: {error}") from None
         self.header = header
         if display and shown is None:
-            shown = Shown.of(attachments)
+            shown = _shown(attachments)
         self._encoder = Encoder(header, display=display, shown=shown if display else None)
         self._tally = Tally(header)
         self._topics = topics(header)
@@ -256,6 +259,12 @@ class EpisodeWriter:
             if array is None or array.shape != wanted or array.dtype != np.dtype(item.type):
                 got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
                 raise SpecError(f"{item.name}: expected {item.type} of shape {wanted}, got {got}")
+
+
+def _shown(attachments: Mapping[str, bytes]) -> Shown | None:
+    from coordlog.record.display import Shown  # loads MuJoCo
+
+    return Shown.of(attachments)
 
 
 def _validate_contacts(contacts: Array, first: int, stop: int) -> None:

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.errors import ConfigError
+from coordlog.errors import ConfigError, FormatError
+
+_SPEC = ("name", "arms", "shared", "soles", "torso", "poses", "centre", "reach")
 
 
 @dataclass(frozen=True)
@@ -143,12 +145,22 @@ class Robot:
         """The spec a log carries.
 
         A log's model is attached whole, scene included, so `mjcf` may stay empty.
+
+        Raises:
+            FormatError: if it says too little: logs of other programs need not describe a robot.
         """
         arms = tuple(
             Arm(arm["name"], arm["palm"], tuple(arm["joints"])) for arm in data.get("arms", ())
         )
         if not arms:
             return cls(data["name"], mjcf, ())
+        missing = [key for key in _SPEC if key not in data]
+        if missing:
+            raise FormatError(
+                f"robot: expected its {', '.join(_SPEC)}, got none of {', '.join(missing)}"
+            )
+        centre = tuple(data["centre"])
+        shared, soles = tuple(data["shared"]), tuple(data["soles"])
         return cls(
             data["name"],
             mjcf,

@@ -47,11 +47,11 @@ class Batch(NamedTuple):
     files: Files
     """What else was found: parts that no writer has finished, and what could not be read."""
 
-    def run(self, *, processes: int = 0) -> Iterator[Json]:
+    def run(self, *, processes: int | str = 0) -> Iterator[Json]:
         """Rows of the report (see `smooth_file`), in the order of the jobs.
 
         Args:
-            processes: 0 for one per core.
+            processes: 0 for one per core; or a cluster, see `parallel.mapped`.
         """
         return mapped(smooth_file, self.jobs, jobs=processes)
 
@@ -157,6 +157,7 @@ def smooth_file(job: Job) -> Json:
 def _smoothed(job: Job) -> tuple[Json, bool]:
     """Parameters of the lineage, and whether the output was there already."""
     from coordlog.record.recording import Recording
+    from coordlog.smooth.kinematic import smooth_observed
     from coordlog.smooth.recorded import smooth_episode
 
     recording = Recording(job.source)
@@ -168,7 +169,9 @@ def _smoothed(job: Job) -> tuple[Json, bool]:
             f"{job.source}: expected an episode that ended, got an aborted one "
             f"({recording.result.aborted}); nothing to smooth"
         )
-    smoothed, parameters = smooth_episode(recording, job.settings)
+    observed = recording.header.kind == "observed"
+    transform = smooth_observed if observed else smooth_episode
+    smoothed, parameters = transform(recording, job.settings)
     if job.write:
         _write(job, smoothed, recording)
     return parameters, False
@@ -208,13 +211,15 @@ def _made_before(job: Job, digest: str) -> Json | None:
 
 def _write(job: Job, episode: Episode, recording: Recording) -> None:
     """Write the output; a part file that a killed run left is removed first."""
+    from coordlog.episode import MODEL_XML
     from coordlog.record.display import Shown
     from coordlog.record.storage import PART
     from coordlog.record.writer import write_episode
     from coordlog.sim.description import Description
 
-    attached, state = recording.attachments, recording.initial_state
-    shown = Shown(Description(recording.model), state)
+    attached, shown = recording.attachments, None
+    if MODEL_XML in attached:
+        shown = Shown(Description(recording.model), recording.initial_state)
     try:
         job.target.parent.mkdir(parents=True, exist_ok=True)
         exists = job.target.exists()
@@ -228,8 +233,17 @@ def _write(job: Job, episode: Episode, recording: Recording) -> None:
 
 
 def summary(rows: list[Json], batch: Batch, settings: Json, *, seconds: float) -> Json:
+<<<<<<< HEAD
+    """Counts, medians of the ratios after/before over what was made anew, and every row."""
+    done = [row["parameters"] for row in rows if row["parameters"].get("steps_of", "log") != "log"]
+=======
     """Counts, medians of the ratios after/before over what was executed, and every row."""
-    done = [row["parameters"] for row in rows if row["parameters"].get("steps_of") == "execution"]
+    done = [
+        row["parameters"]
+        for row in rows
+        if row["parameters"].get("steps_of") in ("execution", "path")
+    ]
+>>>>>>> exchange
     counts = Counter(row["status"] for row in rows)
     fresh = [row for row in rows if not row["resumed"] and row["status"] != SKIPPED]
 

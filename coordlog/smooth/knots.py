@@ -21,11 +21,11 @@ from coordlog.errors import SpecError
 from coordlog.path import Bools, Floats, Ints, Path
 from coordlog.smooth.spline import fit
 from coordlog.smooth.times import GAP, seconds, spacing
+from coordlog.smooth.wrapping import unwrapped
 
 _SAME = 1e-2  # of the spacing: closer times are one sample, or the fit loses three digits and kinks
 _CUT = 100.0  # spacings without a sample, beyond which nothing is known of what lies between
 _REPEATED = 0.1  # of the samples that share a time and disagree: more are no stray repetitions
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def clean(
         raise SpecError(
             "time, q: expected finite numbers; only NaN in q is read as a missing sample"
         )
-    sample = _unwrapped(sample, continuous, names)
+    sample = unwrapped(sample, continuous, names)
     finite = np.isfinite(sample)
     if finite.all() and _regular(when):
         return _knots(when, sample, when, sample, np.ones(len(when)), _Report([], []))
@@ -142,42 +142,6 @@ def _numbers(position: Any) -> Floats:
 def _regular(time: Floats) -> bool:
     between, typical = np.diff(time), spacing(time)
     return bool((between >= _SAME * typical).all() and (between <= GAP * typical).all())
-
-
-def _unwrapped(sample: Floats, continuous: Sequence[int], names: Sequence[str]) -> Floats:
-    """Unwrap continuous joints; refuse others that step by about a turn from sample to sample."""
-    if any(not -sample.shape[1] <= joint < sample.shape[1] for joint in continuous):
-        raise SpecError(f"continuous: expected columns of {sample.shape[1]} joints: {continuous}")
-    turning = {joint % sample.shape[1] for joint in continuous}
-    found = sample
-    for joint, name in enumerate(names):
-        rows = np.flatnonzero(np.isfinite(sample[:, joint]))
-        column = sample[rows, joint]
-        step = np.abs(np.diff(column))
-        if not (step > np.pi).any():
-            continue
-        if joint in turning:
-            found = found.copy() if found is sample else found
-            found[rows, joint] = np.unwrap(column)
-            continue
-        wraps = _wraps(step)
-        if len(wraps):
-            at = rows[wraps[0]]
-            raise SpecError(
-                f"q: {name} steps by {step[wraps[0]]:.3g} rad, about a whole turn, from sample "
-                f"{at} to {rows[wraps[0] + 1]} ({len(wraps)} such steps); if it turns without end, "
-                f"unwrap it first (np.unwrap) or pass continuous=[{joint}]"
-            )
-    return found
-
-
-def _wraps(step: Floats) -> Ints:
-    """Steps that are a wrap by their size: small again once unwrapped, large beside the others."""
-    others = step[step <= np.pi].max(initial=0.0)
-    if len(step) < 3 and others == 0.0:
-        return np.zeros(0, np.intp)  # two or three way points say nothing of what is usual
-    rest = np.abs(step - _TURN * np.round(step / _TURN))
-    return np.flatnonzero((step > np.pi) & (rest <= 1.2 * others + 0.05) & (step >= 2.0 * others))
 
 
 def _gridded(time: Floats, sample: Floats, finite: Bools, names: Sequence[str]) -> Knots:

@@ -21,6 +21,7 @@ from coordlog.record.reader import read_attachments, read_episode
 from coordlog.sim.replay import Log, exact_here, replay
 from coordlog.sim.traced import Trace
 from coordlog.verify.finding import Finding
+from coordlog.verify.observed import judged
 
 TOLERANCES = {"qpos": 1e-3, "qvel": 5e-2, "distance": 1e-3}
 """Largest differences accepted where the same bits cannot be expected [m, rad, and per second].
@@ -34,7 +35,7 @@ class Replays(NamedTuple):
 
     findings: list[Finding]
     inexact: dict[str, str]
-    """Why bits were not compared, by path."""
+    """Why bits were not compared, by path; of an observed episode, what was looked at."""
     steps: int
     """Control steps that were simulated."""
 
@@ -54,6 +55,9 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
     for path in paths:
         name = os.fspath(path)
         try:
+            if said := judged(path):
+                inexact[name] = said
+                continue
             episode, log = _load(path)
         except CoordlogError as error:
             findings.append(

@@ -65,7 +65,7 @@ def _times(episode: Episode) -> Iterator[Problem]:
 def _values(episode: Episode) -> Iterator[Problem]:
     """Everything finite; of diverged physics all but the outcome of the last action.
 
-    Actions within [-1, 1].
+    Simulated actions within [-1, 1].
     """
     diverged = episode.result.aborted.startswith(DIVERGED)
     for name, values in episode.columns.items():
@@ -74,7 +74,7 @@ def _values(episode: Episode) -> Iterator[Problem]:
         if diverged and name != "action":
             values = values[:-1]
         yield from _broken(name, "finite values", values, ~np.isfinite(values))
-    if episode.header.task == TASK:
+    if episode.header.task == TASK or episode.header.kind != KINDS[0]:
         return
     yield from _broken("action", "values in [-1, 1]", episode.action, np.abs(episode.action) > 1)
 

@@ -51,9 +51,16 @@ def joints_figure(
         Robot.from_json(episode.header.env["robot"]),
         Geometry.of(episode, attachments),
     )
-    names = list(robot.action_joints)
+    names, places = list(robot.action_joints), geometry.joints
     groups = {"spine": list(robot.shared)} if robot.shared else {}
     groups |= {f"{arm.name} arm": list(arm.joints) for arm in robot.arms}
+    if not robot.arms:  # of an environment that is not ours: all joints there are
+        joints = episode.header.env["joints"]
+        names, places = (
+            [each["name"] for each in joints],
+            np.array([each["qpos"] for each in joints]),
+        )
+        groups = {"joints": names}
     figure = Figure(figsize=(13.0, 2.6 * len(groups) + 0.6), layout="constrained")
     grid = figure.add_gridspec(len(groups), 2, width_ratios=(1.55, 1.0))
     above: Axes | None = None
@@ -63,14 +70,16 @@ def joints_figure(
         _angles(
             axes,
             episode,
-            geometry.joints,
+            places,
             {name: names.index(name) for name in members},
             behind=behind,
         )
         axes.set_ylabel(f"{group} [rad]")
         if row == len(groups) - 1:
             axes.set_xlabel("time [s]")
-    _palms(figure.add_subplot(grid[:, 1], projection="3d"), episode, geometry, robot, behind=behind)
+    if robot.arms:
+        space = figure.add_subplot(grid[:, 1], projection="3d")
+        _palms(space, episode, geometry, robot, behind=behind)
     figure.suptitle(title or _title(episode), fontsize=11)
     return figure
 

@@ -42,8 +42,9 @@ def plot(draft: Draft, stage: Stage, *, behind: bool = False) -> None:
     suffix = f" ({stage.label})" if stage.label else ""
     for group, index in stage.groups.items():
         plot_joints(draft, stage, group, index, behind=behind, suffix=suffix)
-    plot_outcomes(draft, stage, behind=behind, suffix=suffix)
-    plot_flags(draft, stage)
+    if stage.episode.has("distance"):  # an observed episode has no goals
+        plot_outcomes(draft, stage, behind=behind, suffix=suffix)
+        plot_flags(draft, stage)
 
 
 def plot_joints(

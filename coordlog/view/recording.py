@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Sequence
 
+import numpy as np
 import rerun as rr
 
 from coordlog.view import text
@@ -13,8 +14,10 @@ from coordlog.view.draft import Draft
 from coordlog.view.layout import layout
 from coordlog.view.plots import plot
 from coordlog.view.scene import draw
-from coordlog.view.show import Show, stages
+from coordlog.view.show import Show, Stage, stages
 
+FROM_ABOVE = np.array([0.0, 0.0, 10.0])
+"""Where an eye is from which no panel hides anything [m]."""
 MARKDOWN = "text/markdown"
 
 
@@ -33,6 +36,8 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
         FormatError: if a file's model is missing or cannot be used.
     """
     staged = stages(shows, ghosts=ghosts)
+    if not all(stage.robot.arms for stage in staged):
+        return _scene_alone(staged)
     view = camera(staged)
     stream = new_stream(" and ".join(show.name for show in shows))
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -50,6 +55,17 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
             )
     draft.send(stream)
     stream.send_blueprint(layout(staged, view))
+    return stream
+
+
+def _scene_alone(staged: Sequence[Stage]) -> rr.RecordingStream:
+    """What moves, and nothing of a task: episodes of environments that are not ours."""
+    stream = new_stream(" and ".join(stage.show.name for stage in staged))
+    stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    draft = Draft()
+    for stage in staged:
+        draw(draft, stage, FROM_ABOVE)
+    draft.send(stream)
     return stream
 
 

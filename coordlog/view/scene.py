@@ -182,6 +182,8 @@ def draw_hands(draft: Draft, stage: Stage) -> None:
 
     Of a smoothed path also its knots and its spline's line.
     """
+    if not stage.robot.arms:
+        return
     palms, path, spline = stage.motion.palms, stage.episode.path, stage.spline
     for i, arm in enumerate(stage.arms):
         colour = palette.cycle(palette.ARMS, i)
@@ -250,7 +252,9 @@ def draw_balance(draft: Draft, stage: Stage) -> None:
     """
     com = stage.motion.com
     ground = com * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.002]
-    unstable = np.append(False, stage.episode.instability)
+    unstable = np.zeros(len(stage.episode) + 1, bool)
+    if stage.episode.has("instability"):
+        unstable[1:] = stage.episode.instability
     colours = np.where(unstable[:, None], palette.BAD, palette.MASS).astype(np.uint8)
     edge = np.where(unstable[:, None], palette.BAD, palette.GOOD).astype(np.uint8)
     mass, plumb, outline = (

@@ -14,6 +14,8 @@ def verdict(episode: Episode) -> str:
     seconds, result = episode.time[-1], episode.result
     if result.aborted:
         return f"ABORTED after {seconds:.2f} s: {plain(result.aborted)}"
+    if episode.header.kind == "observed":
+        return f"observed for {seconds:.2f} s"
     if result.clean:
         return f"clean success after {seconds:.2f} s"
     if result.success:
@@ -40,6 +42,13 @@ def banner(episode: Episode) -> str:
     return f"### This episode was cut short: {reason}. What is there, {shown}, is shown; how it went says nothing about the policy."
 
 
+def _touched(episode: Episode) -> str:
+    """Steps with a collision, "" where nothing is known of them."""
+    if not episode.has("collision"):
+        return ""
+    return f"{int(episode.collision.sum())} steps, {len(episode.contacts)} contacts"
+
+
 def about(episode: Episode, *, file: str = "") -> str:
     """Result, origin and lineage of one episode."""
     start, env, policy, lineage = (
@@ -51,7 +60,7 @@ def about(episode: Episode, *, file: str = "") -> str:
         "policy": policy["name"] or policy["kind"],
         "exploration noise": _pairs(policy["noise"]),
         "steps": f"{len(episode)} of {start['control_period'] * 1000:g} ms",
-        "collisions": f"{int(episode.collision.sum())} steps, {len(episode.contacts)} contacts",
+        "collisions": _touched(episode),
         "from": ", ".join(parent[:12] for parent in lineage["parents"]),
         "checkpoint": policy["checkpoint_sha256"][:12],
         "robot": start["robot"],

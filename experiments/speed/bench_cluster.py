@@ -23,10 +23,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from coordlog.commands.smoothing import Job, smooth_file
-
-from coordlog.commands.check import check_files
 from coordlog.parallel import batches, mapped
+from coordlog.smooth.batch import Job, smooth_file
+from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[2]
 EPISODES = sorted((ROOT / "tests" / "data" / "v1").glob("*/*.mcap"))

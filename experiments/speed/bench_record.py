@@ -25,13 +25,13 @@ import pyarrow as pa
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from coordlog.episode import CONTACT, Episode, Header, Result
+from coordlog.episode import CONTACT, FIELD_KEYS, Episode, Header, Result
 from coordlog.record import dataset
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import BLOCK, EpisodeWriter, write_episode
-from coordlog.spec import FINAL, SCHEMA_VERSION, STEP, Layout
+from coordlog.spec import REACH, SCHEMA_VERSION, STEP, Layout
 
-COLUMNS = [item.name for item in STEP.fields[1:]]
+COLUMNS = [item.name for item in STEP.fields[1:] if item.size != "n_c"]
 ROUNDS = 5
 SLOW = 20  # episodes for the slow reader: it is timed per step
 
@@ -86,8 +86,17 @@ def synthetic(rng: np.random.Generator, length: int = 116) -> Episode:
             "schema_version": SCHEMA_VERSION,
             "start_time": 1_700_000_000_000_000_000,
             "control_period": 0.04,
+            **dict.fromkeys(("id", "run", "robot", "scene", "split", "start"), ""),
+            **{"seed": 0, "index": 0, "goals": [[0, 0, 0]] * 2, "obstacles": []},
         },
         env={
+            "task": {
+                "name": "reach",
+                "fields": [{key: getattr(item, key) for key in FIELD_KEYS} for item in REACH],
+            },
+            **dict.fromkeys(("coordlog_version", "mujoco_version", "architecture"), ""),
+            **{"reward": {}, "config": {}, "robot": {"name": "synthetic"}},
+            **{"actuators": [], "geoms": [], "action_joints": [], "state": []},
             "layout": vars(layout),
             "arms": {"left": [0], "right": [1]},
             "joints": [
@@ -95,7 +104,7 @@ def synthetic(rng: np.random.Generator, length: int = 116) -> Episode:
                 for index in range(27)
             ],
         },
-        policy={"kind": "synthetic"},
+        policy={"kind": "synthetic", "name": "", "checkpoint_sha256": "", "noise": {}},
     )
     return Episode(
         header=header,
@@ -262,7 +271,7 @@ def timed_write(
             writer.write_steps(first, columns, contacts=contacts)
         written = time.process_time()
         writer.finish(
-            {item.name: getattr(episode, item.name)[-1] for item in FINAL.fields[1:]},
+            {name: episode.columns[name][-1] for name in episode.before},
             aborted=episode.result.aborted,
         )
     return (written - opened) / len(episode) * 1e6, (

@@ -5,7 +5,8 @@
 
 One worker process for each tree, both warm; every log is smoothed by one and then by the other,
 `--rounds` times, so that whatever else the machine does hits both. LOGS must be files that both
-trees read. A line for each log and the median of the ratios.
+trees read; or `--now FOLDER` has the same episodes as this tree records them, under names that
+start alike. A line for each log and the median of the ratios.
 """
 
 from __future__ import annotations
@@ -73,13 +74,17 @@ def main() -> None:
     parser.add_argument("logs", type=Path, help="folder of episodes that both trees read")
     parser.add_argument("--before", type=Path, required=True, help="checkout to compare with")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--now", type=Path, help="the same episodes for this tree")
     arguments = parser.parse_args()
-    sources = sorted(arguments.logs.rglob("*.mcap"))
+    sources = [(path, path) for path in sorted(arguments.logs.rglob("*.mcap"))]
+    if arguments.now is not None:
+        here = {key(path): path for path in arguments.now.rglob("*.mcap")}
+        sources = [(path, here[key(path)]) for path, _ in sources if key(path) in here]
     with tempfile.TemporaryDirectory() as folder:
         before, after = Worker(arguments.before, Path(folder, "b")), Worker(HERE, Path(folder, "a"))
-        for source in sources[:2]:  # the first calls import and warm up
-            before.smooth(source), after.smooth(source)
-        ratios = [compare(source, before, after, arguments.rounds) for source in sources]
+        for was, now in sources[:2]:  # the first calls import and warm up
+            before.smooth(was), after.smooth(now)
+        ratios = [compare(pair, before, after, arguments.rounds) for pair in sources]
         before.close(), after.close()
     print(
         f"median of the ratios {median(ratios):.3f}, n = {len(ratios)}, from "
@@ -87,9 +92,15 @@ def main() -> None:
     )
 
 
-def compare(source: Path, before: Worker, after: Worker, rounds: int) -> float:
+def key(path: Path) -> str:
+    """Scene, split, seed and index of a recorded file, without the run's own digits."""
+    return path.stem.rpartition("-")[0]
+
+
+def compare(sources: tuple[Path, Path], before: Worker, after: Worker, rounds: int) -> float:
     """Print and return the ratio for one log, each side at its least disturbed."""
-    pairs = [(before.smooth(source), after.smooth(source)) for _ in range(rounds)]
+    source = sources[0]
+    pairs = [(before.smooth(source), after.smooth(sources[1])) for _ in range(rounds)]
     was, now = (min(each[side][0] for each in pairs) for side in (0, 1))
     print(
         f"{source.name:44s} {1e3 * was:6.0f} ms {pairs[0][0][1]:14s} {1e3 * now:6.0f} ms "

@@ -41,8 +41,8 @@ from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
 from coordlog.smooth.knots import clean
 from coordlog.smooth.limits import Limits
+from coordlog.smooth.lineage import FASTER, fastest_of
 from coordlog.smooth.metrics import PathLoad
-from coordlog.smooth.recorded import FASTER, fastest_of
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.scene import sole_corner
 from tests.plain import BOX, Plain, between, rotate, to_shape

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from coordlog.catalog.packing import pack_files, unpack_files
 from coordlog.errors import StorageError
 from coordlog.record.addresses import name_within
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 
 NAMES = st.from_regex(r"[a-c]{1,2}(/[a-c]{1,2}){0,2}\.mcap", fullmatch=True)
 

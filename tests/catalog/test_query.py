@@ -12,8 +12,8 @@ from coordlog.catalog.gather import gather
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.query import StepStream, ask
 from coordlog.errors import ConfigError, FormatError, SpecError
-from coordlog.record.dataset import find_files
 from coordlog.record.dataset import open as open_logs
+from coordlog.record.files import find_files
 from tests.catalog.logs import write
 
 DATA = Path(__file__).parents[1] / "data" / "v1"

@@ -15,7 +15,7 @@ from coordlog.catalog.selection import Split, difference, select
 from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.record import manifest
 from coordlog.record.addresses import expand
-from coordlog.record.dataset import find_files
+from coordlog.record.files import find_files
 from coordlog.record.manifest import Chosen, Manifest
 from tests.catalog.logs import write
 

@@ -61,6 +61,31 @@ def test_index_then_query(logs: Path) -> None:
     )
 
 
+def test_every_kind_of_value_can_be_printed(logs: Path) -> None:
+    sql = (
+        "select sum(length) a, max(returns) b, now() c, struct_pack(x := 1.5::decimal(4, 2)) d,"
+        " 'a'::blob e, null f, length from episodes group by length order by length"
+    )
+    found = rows("query", sql, logs)
+    assert found[0]["a"] == found[0]["length"]
+    assert found[0]["d"] == {"x": 1.5}
+    assert len(found[0]) == 7
+    assert "two columns are called length" in refusal(
+        "query", "select length, length from episodes"
+    )
+    answer("query", sql, logs)
+    answer("query", sql, "--out", "x.csv")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["pack logs", "unpack logs", "smooth logs", "export logs --to csv"],
+)
+def test_only_record_writes_into_an_object_store(line: str, logs: Path) -> None:
+    assert "only `coordlog record` writes" in refusal(*line.split(), "--out", "s3://robots/x")
+    assert not Path("s3:").exists()
+
+
 def test_what_is_broken_is_named_and_the_rest_is_answered(logs: Path) -> None:
     (logs / "bad.mcap").write_bytes(b"")
     result = answer("index", logs, code=3)

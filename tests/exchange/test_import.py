@@ -21,9 +21,9 @@ from coordlog.record.reader import read_episode
 from tests.exchange.bags import NAMES, START, recorded, write_bag
 
 ARM = """<mujoco model="arm"><worldbody><geom type="plane" size="2 2 .1"/>
-<body name="upper" pos="0 0 .8"><joint name="shoulder" range="-170 170"/>
+<body name="upper" pos="0 0 .4"><joint name="shoulder" axis="0 1 0" range="-170 170"/>
 <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
-<body name="lower" pos=".3 0 0"><joint name="elbow" range="-150 150"/>
+<body name="lower" pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="-150 150"/>
 <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
 <body name="hand" pos=".3 0 0"><joint name="wrist" range="-150 150"/>
 <geom type="sphere" size=".05"/></body></body></body></worldbody></mujoco>"""
@@ -223,3 +223,64 @@ def test_rosbags_reads_what_went_in_and_out(bag, arm, tmp_path):
         rows = [read.deserialize(raw, channel.msgtype) for _, _, raw in read.messages([channel])]
     columns = [list(rows[0].name).index(name) for name in NAMES]
     np.testing.assert_array_equal(np.array([row.position for row in rows])[:, columns], bag[2][:-1])
+
+
+def test_a_bag_is_smoothed_and_goes_back_as_a_bag_with_a_trajectory(bag, arm, tmp_path):
+    run("import", bag[0], "--out", tmp_path / "logs", "--robot", arm, "--gap", "0.3")
+    args = ("smooth", tmp_path / "logs", "--out", tmp_path / "smooth", "--max-deviation", "0.05")
+    said = json.loads(run(*args, "--jobs", "1", "--json").stdout)
+    assert said["statuses"] == {"smoothed": 2}
+    assert said["certified"] == 2
+    assert said["median"]["jerk"] < 0.1
+    for raw, smoothed in zip(
+        coordlog.open(tmp_path / "logs"), coordlog.open(tmp_path / "smooth"), strict=True
+    ):
+        assert smoothed.header.kind == "observed"
+        assert smoothed.header.lineage["parameters"]["execution"].startswith("kinematic")
+        assert smoothed.header.episode["source"] == raw.header.episode["source"]
+        np.testing.assert_array_equal(smoothed.time, raw.time)
+        np.testing.assert_array_equal(smoothed.qpos[[0, -1]], raw.qpos[[0, -1]])
+        assert 0 < np.abs(smoothed.qpos - raw.qpos).max() <= 0.05
+    run("export", tmp_path / "smooth", "--to", "rosbag2", "--out", tmp_path / "bags")
+    first = min(path for path in (tmp_path / "bags").iterdir() if path.is_dir())
+    episode = coordlog.open(tmp_path / "smooth")[0]
+    with AnyReader([first]) as read:
+        (channel,) = [item for item in read.connections if item.topic == "/joint_trajectory"]
+        ((_, _, raw),) = read.messages([channel])
+        message = read.deserialize(raw, channel.msgtype)
+    assert sorted(message.joint_names) == sorted(NAMES)
+    np.testing.assert_array_equal(message.points[0].positions, episode.path.position[0])
+
+
+def test_a_lerobot_set_is_smoothed_and_goes_back_as_one(arm, tmp_path, rng):
+    from robovet.checks import run_doctor
+    from robovet.dataset import LeRobotDataset
+
+    rows = ["time,episode,shoulder,elbow,wrist"]
+    for episode in range(2):
+        for i in range(60):
+            noisy = 0.3 * np.sin(i / 15 + np.arange(3)) + rng.normal(0, 2e-3, 3)
+            rows.append(f"{i / 30},{episode},{','.join(map(repr, noisy.tolist()))}")
+    (tmp_path / "x.csv").write_text("\n".join(rows) + "\n")
+    model = read_model(str(arm))
+    import_source(tmp_path / "x.csv", tmp_path / "logs", Plan(), model)
+    run("export", tmp_path / "logs", "--to", "lerobot", "--out", tmp_path / "set")
+    import_source(tmp_path / "set", tmp_path / "in", Plan(), model)
+    args = ("smooth", tmp_path / "in", "--out", tmp_path / "smooth", "--max-deviation", "0.02")
+    run(*args, "--jobs", "1")
+    run(
+        *("export", tmp_path / "smooth", "--to", "lerobot", "--like", tmp_path / "set"),
+        *("--out", tmp_path / "out"),
+    )
+    import pyarrow.parquet as pq
+
+    name = "data/chunk-000/file-000.parquet"
+    before, after = pq.read_table(tmp_path / "set" / name), pq.read_table(tmp_path / "out" / name)
+    changed = [c for c in before.column_names if not before[c].equals(after[c])]
+    assert changed == ["observation.state", "action"]
+    states = np.array(after["observation.state"].to_pylist())
+    wanted = np.concatenate([each.qpos for each in coordlog.open(tmp_path / "smooth")])
+    np.testing.assert_allclose(states, wanted, atol=1e-6)
+    for folder in ("set", "out"):
+        report = run_doctor(LeRobotDataset(tmp_path / folder))
+        assert (report.counts["FAIL"], report.counts["WARN"]) == (0, 0)

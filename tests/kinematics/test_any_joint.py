@@ -217,5 +217,6 @@ def test_the_least_distance_is_that_of_all_slacks(gantry):
     _, checker, time, q = gantry
     fine = np.linspace(0.0, time[-1], 300)
     path = np.stack([np.interp(fine, time, column) for column in q.T], axis=1)
-    every = checker.slack(fine, path, 0.0)[:, : len(checker.pairs)]
-    assert checker.nearest(fine, path) == pytest.approx(every.min(), abs=1e-5)
+    slack = checker.slack(fine, path, 0.0)
+    keeps = (slack - checker.slack(fine, path, 1e-3)).max(axis=0) > 5e-4
+    assert checker.nearest(fine, path) == pytest.approx(slack[:, keeps].min(), abs=1e-5)

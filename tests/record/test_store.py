@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from coordlog.catalog.gather import gather
+from coordlog.catalog.index import Catalog
+from coordlog.catalog.query import ask
+from coordlog.catalog.selection import select
 from coordlog.errors import StorageError
+from coordlog.record import manifest
 from coordlog.record.dataset import find_files
 from coordlog.record.dataset import open as open_logs
 from coordlog.record.info import summarise
 from coordlog.record.reader import read_header
+from coordlog.record.spool import Spool
 from coordlog.record.store import LocalStore, ObjectStore, PackStore, Store, store_of
 from tests.record.s3 import ENVIRONMENT, Server
 
@@ -107,3 +114,47 @@ def test_a_pack_in_a_bucket_is_a_pack(
     assert len(gets) == 1
     with pytest.raises(StorageError, match="cannot grow"):
         store.publish("x", FILES[0])
+
+
+def test_a_catalogue_of_every_kind_of_store_says_the_same(store: Store) -> None:
+    catalog = Catalog(store.address)
+    assert (catalog.refresh().new, Catalog(store.address).refresh().new) == (len(FILES), 0)
+    assert Catalog(store.address).verify() == []
+    found = {row["digest"]: row for row in Catalog(store.address).episodes().to_pylist()}
+    for path in FILES:
+        row = found[hashlib.sha256(path.read_bytes()).hexdigest()]
+        assert row["length"] == len(store.open(row["path"]).episode)
+    assert len(store.list()) == len(FILES)  # the catalogue's own files are no episodes
+
+
+def test_a_manifest_finds_its_episodes_in_every_kind_of_store(store: Store, tmp_path: Path) -> None:
+    out = tmp_path / "all.manifest"
+    manifest.write(out, select(gather([store.address]), out=out))
+    assert len(find_files(out).paths) == len(FILES)
+    assert {path.name for path in find_files(out).paths} == {path.name for path in FILES}
+    rows = ask("select path from episodes", gather([out]).sources).column(0).to_pylist()
+    assert sorted(map(Path, rows)) == sorted(store.path(entry.name) for entry in store.list())
+
+
+def test_what_is_recorded_for_an_object_store_waits_in_the_cache_until_it_is_whole(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in {**ENVIRONMENT, "XDG_CACHE_HOME": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", server.url)
+    store = ObjectStore("s3://robots/recorded")
+    with Spool(store) as spool:
+        assert spool.folder.is_relative_to(tmp_path)
+        path = Path(shutil.copy(FILES[0], spool.folder))
+        server.requests.clear()
+        spool.publish(path)
+        assert len(server.requests) == 1
+        assert not path.exists()
+        server.answers = [403]
+        kept = Path(shutil.copy(FILES[1], spool.folder))
+        with pytest.raises(StorageError, match="403"):
+            spool.publish(kept)
+        assert kept.exists()
+    with Spool(store) as spool:  # the next one publishes what could not be
+        assert [path.name for path in spool.published] == [FILES[1].name]
+    assert [entry.name for entry in store.list()] == sorted(path.name for path in FILES[:2])

@@ -103,7 +103,7 @@ def test_killed_at_random_moments(tmp_path, rng):
         folder = tmp_path / f"{trial}" / "logs"
         folder.mkdir(parents=True)
         process = start(folder, trial)
-        time.sleep(float(rng.uniform(0.005, 0.12)))
+        time.sleep(float(rng.uniform(0.005, 0.3)))
         process.send_signal(signal.SIGKILL)
         told, _ = process.communicate()
         lines = told.split("\n")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from coordlog.commands.check import check_files
 from coordlog.episode import MODEL_XML
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
 from coordlog.verify import trial
+from coordlog.verify.levels import check_files
 
 GOOD = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
 

@@ -1,0 +1,91 @@
+"""coordlog record --env: episodes of an environment that is not ours."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from coordlog.commands import terminal
+from coordlog.errors import EXIT_INTERRUPTED, ConfigError
+
+if TYPE_CHECKING:
+    from coordlog.record.foreign import Recorder
+
+
+def record_environment(
+    name: str, policy: str, *, episodes: int, seed: int, out: Path, as_json: bool
+) -> None:
+    """Record a Gymnasium environment by its id.
+
+    Raises:
+        ConfigError: if there is no such environment, or it is not on MuJoCo.
+        SimulationError: at the first step that cannot be replayed.
+    """
+    from coordlog.policies.foreign import load
+    from coordlog.record.foreign import record_env
+
+    env = _make(name)
+    if policy in ("", "random"):
+        env.action_space.seed(seed)
+        act = lambda observation: env.action_space.sample()  # noqa: E731
+        about: dict[str, Any] = {"kind": "random", "name": "random"}
+    else:
+        act, about = load(policy)
+    began = time.perf_counter()
+    with terminal.progress() as bar, terminal.interruptible() as interrupted:
+        task = bar.add_task(f"recording {name}", total=episodes, note="")
+
+        def each(recorder: Recorder) -> None:
+            bar.update(task, completed=len(recorder.files))
+            if interrupted:
+                raise typer.Exit(EXIT_INTERRUPTED)
+
+        recorder = record_env(
+            env, act, episodes=episodes, out=out, seed=seed, about=about, each=each
+        )
+    seconds = time.perf_counter() - began
+    summary = {
+        "run": recorder.run,
+        "episodes": len(recorder.files),
+        "steps": recorder.steps,
+        "set_from_outside": recorder.set_from_outside,
+        "seconds": seconds,
+        "files": [str(path) for path in recorder.files],
+    }
+    if as_json:
+        terminal.print_json(summary)
+        return
+    said = f"{summary['set_from_outside']} of them set the state from outside; logged as such"
+    terminal.facts(
+        [
+            ("episodes", f"{summary['episodes']} in {out}/ (run {recorder.run})"),
+            ("steps", f"{recorder.steps}, each simulated again to the bit; {said}"),
+            ("speed", f"{recorder.steps / seconds:,.0f} steps/s"),
+        ]
+    )
+
+
+def _make(name: str) -> Any:
+    """A Gymnasium environment by its id.
+
+    Raises:
+        ConfigError: if Gymnasium cannot make it, with its reason.
+    """
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise ConfigError(
+            '--env: needs Gymnasium and its MuJoCo environments: pip install "gymnasium[mujoco]"'
+        ) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return gymnasium.make(name)
+        except Exception as error:  # whatever the environment's own package raises
+            raise ConfigError(
+                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: {str(error).splitlines()[0]}"
+            ) from error

@@ -1,0 +1,215 @@
+"""Environments of others: what is recorded of them replays to the bit, what they set themselves is
+logged as such, and what cannot be replayed is said at the step that shows it."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from coordlog.errors import ConfigError, SimulationError, SpecError
+from coordlog.record.foreign import Recorder, attachments_of, record_env, recording, simulation_of
+from coordlog.record.reader import read_attachments, read_episode
+from coordlog.record.writer import write_episode
+from coordlog.sim.foreign import Watch
+from coordlog.verify.physics import check_replay
+
+TEXT = """
+<mujoco><option timestep="0.01"/><worldbody>
+  <body><joint name="j"/><geom size=".1" pos=".2 0 0"/>
+    <body pos=".4 0 0"><joint name="k" axis="0 1 0"/><geom size=".05" pos=".1 0 0"/></body></body>
+</worldbody><actuator><motor joint="j"/><motor joint="k"/></actuator></mujoco>
+"""
+
+
+class Env:
+    """As Gymnasium's: a swing with two joints, and one habit that some environments have."""
+
+    def __init__(self, habit="", steps=12):
+        self.model = mujoco.MjModel.from_xml_string(TEXT)
+        self.data, self.habit, self.steps = mujoco.MjData(self.model), habit, steps
+
+    @property
+    def unwrapped(self):
+        return self
+
+    def _seen(self):
+        return np.concatenate([self.data.qpos, self.data.qvel])
+
+    def reset(self, seed=None):
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = np.random.default_rng(seed).uniform(-1, 1, 2)
+        mujoco.mj_forward(self.model, self.data)
+        self.count = 0
+        return self._seen(), {}
+
+    def step(self, action):
+        model, data = self.model, self.data
+        self.count += 1
+        if self.habit == "teleports before":
+            data.qpos[0] += 0.1
+        for i in range(4):
+            data.ctrl[:] = action
+            if self.habit == "a controller of its own":
+                data.ctrl[:] = action - 0.5 * data.qvel * i
+            if self.habit == "in halves":
+                mujoco.mj_step1(model, data)
+                data.ctrl[:] = action - data.qvel
+                mujoco.mj_step2(model, data)
+            else:
+                mujoco.mj_step(model, data)
+        if self.habit == "pushes":
+            data.xfrc_applied[1, 2] = float(self.count % 3)
+        if self.habit == "forwards":
+            mujoco.mj_forward(model, data)
+        if self.habit == "teleports after" and self.count % 4 == 0:
+            data.qvel[1] = 0.0
+        if self.habit == "moved by something else":
+            data.qpos[:], data.qvel[:] = np.random.default_rng(self.count).normal(size=(2, 2))
+        if self.habit == "resets itself" and self.count == 5:
+            mujoco.mj_resetData(model, data)
+        info = {"height": float(data.xpos[2, 2]), "word": "no number"}
+        return self._seen(), -1.0, False, self.count == self.steps, info
+
+
+def policy(observation):
+    return -0.3 * observation[:2]
+
+
+HABITS = {
+    "": 0,
+    "a controller of its own": 0,
+    "in halves": 0,
+    "pushes": 0,
+    "forwards": 0,
+    "teleports before": 12,
+    "teleports after": 3,
+}
+
+
+@pytest.mark.parametrize("habit", HABITS)
+def test_every_step_of_an_episode_replays_to_the_bit(habit, tmp_path):
+    recorder = record_env(Env(habit), policy, episodes=2, out=tmp_path, seed=3)
+    assert len(recorder.files) == 2
+    found = check_replay(recorder.files)
+    assert found.findings == []
+    assert found.steps == 24
+    assert recorder.set_from_outside == 2 * HABITS[habit]
+    episode = read_episode(recorder.files[0])
+    assert episode.header.task == "environment"
+    assert episode.header.episode["seed"] == 3
+    assert episode.action.shape == (12, 2)
+    assert episode.reward[:, 0].tolist() == [-1.0] * 12
+    assert episode.substeps.tolist() == [4] * 12
+    assert episode.observation[:, :2].tobytes() == episode.qpos.tobytes()
+    assert episode.info_height.shape == (12,)
+    assert episode.truncated.tolist() == [False] * 11 + [True]
+    assert not episode.has("distance")
+
+
+def test_a_changed_number_is_found(tmp_path):
+    file = record_env(Env(), policy, episodes=1, out=tmp_path).files[0]
+    episode = read_episode(file)
+    ctrl = episode.columns["ctrl"].copy()
+    ctrl[5, 0] = np.nextafter(ctrl[5, 0], 1.0)
+    other = replace(episode, columns={**episode.columns, "ctrl": ctrl})
+    write_episode(tmp_path / "other.mcap", other, attachments=read_attachments(file), display=False)
+    findings = check_replay([tmp_path / "other.mcap"]).findings
+    assert [f.step for f in findings] == [6]
+
+
+@pytest.mark.parametrize(
+    ("habit", "step", "said"),
+    [
+        ("moved by something else", 0, "something else moves this simulation"),
+        ("resets itself", 4, "time went back"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said_at_the_step_that_shows_it(habit, step, said, tmp_path):
+    with pytest.raises(SimulationError, match=f"step {step} cannot be replayed: .*{said}"):
+        record_env(Env(habit), policy, episodes=1, out=tmp_path)
+    files = list(tmp_path.glob("*.mcap"))
+    assert len(files) == (1 if step else 0)
+    for file in files:
+        episode = read_episode(file)
+        assert len(episode) == step
+        assert episode.result.aborted.startswith(f"not replayable at step {step}")
+        assert check_replay([file]).findings == []
+
+
+def test_a_loop_of_ones_own_is_recorded(tmp_path):
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    data = mujoco.MjData(model)
+    with recording(model, data, tmp_path, name="swing", source=TEXT) as log:
+        for step in range(30):
+            data.ctrl[0] = np.sin(step)
+            mujoco.mj_step(model, data, 3)
+            log.step(data.ctrl, [1.0, 2.0], terminated=step == 29)
+    file = next(tmp_path.glob("swing-*.mcap"))
+    episode = read_episode(file)
+    assert episode.result.returns == (30.0, 60.0)
+    assert episode.terminated[-1]
+    assert check_replay([file]).findings == []
+
+
+def fail(model, folder):
+    """A loop that ends in an error after one step."""
+    data = mujoco.MjData(model)
+    with recording(model, data, folder, source=TEXT) as log:
+        mujoco.mj_step(model, data)
+        log.step(data.ctrl)
+        raise ZeroDivisionError
+
+
+def test_a_loop_that_fails_keeps_what_it_did(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        fail(mujoco.MjModel.from_xml_string(TEXT), tmp_path)
+    episode = read_episode(next(tmp_path.glob("*.mcap")))
+    assert len(episode) == 1
+    assert episode.result.aborted == "failed: ZeroDivisionError"
+
+
+def test_mujoco_is_as_it_was_afterwards(tmp_path):
+    before = mujoco.mj_step, mujoco.mj_step2
+    record_env(Env(), policy, episodes=1, out=tmp_path)
+    assert (mujoco.mj_step, mujoco.mj_step2) == before
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    data, other = mujoco.MjData(model), mujoco.MjData(model)
+    watch = Watch(model, data)
+    mujoco.mj_step(model, other)
+    mujoco.mj_step(model, data, 2)
+    assert [row[0] for row in watch.taken()] == [0.0]
+    watch.close()
+    assert (mujoco.mj_step, mujoco.mj_step2) == before
+
+
+def test_a_model_that_was_changed_after_it_was_compiled_is_logged_as_it_is(tmp_path):
+    env = Env()
+    env.model.body_mass[2] *= 1.7
+    env.model.opt.gravity[2] = -3.0
+    file = record_env(env, policy, episodes=1, out=tmp_path).files[0]
+    assert check_replay([file]).findings == []
+
+
+def test_what_is_not_on_mujoco_or_has_no_text_or_no_number_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="object: expected an environment on MuJoCo"):
+        simulation_of(object())
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
+    with pytest.raises(ConfigError, match="the text that the model was compiled from"):
+        attachments_of(model)
+    with Recorder(Env(), tmp_path) as env:
+        env.reset(seed=0)
+        with pytest.raises(SpecError, match="action: expected numbers, got NaN"):
+            env.step(np.array([np.nan, 0.0]))
+
+
+def test_an_environment_of_gymnasiums(tmp_path):
+    gym = pytest.importorskip("gymnasium")
+    pytest.importorskip("imageio")
+    env = gym.make("Reacher-v5", max_episode_steps=10)
+    env.action_space.seed(0)
+    recorder = record_env(env, lambda _: env.action_space.sample(), episodes=1, out=tmp_path)
+    assert check_replay(recorder.files).findings == []
+    assert recorder.set_from_outside == 0
+    assert read_episode(recorder.files[0]).state.shape == (11, 10)
