@@ -233,17 +233,8 @@ def _write(job: Job, episode: Episode, recording: Recording) -> None:
 
 
 def summary(rows: list[Json], batch: Batch, settings: Json, *, seconds: float) -> Json:
-<<<<<<< HEAD
     """Counts, medians of the ratios after/before over what was made anew, and every row."""
     done = [row["parameters"] for row in rows if row["parameters"].get("steps_of", "log") != "log"]
-=======
-    """Counts, medians of the ratios after/before over what was executed, and every row."""
-    done = [
-        row["parameters"]
-        for row in rows
-        if row["parameters"].get("steps_of") in ("execution", "path")
-    ]
->>>>>>> exchange
     counts = Counter(row["status"] for row in rows)
     fresh = [row for row in rows if not row["resumed"] and row["status"] != SKIPPED]
 
