@@ -68,7 +68,8 @@ def implementers():
     from coordlog.policies.learned import Policy as Network
     from coordlog.record.recorder import Recorder
     from coordlog.record.store import LocalStore, PackStore
-    from coordlog.sim.replay import LogEnv, Logged, Traced
+    from coordlog.sim.replay import LogEnv, Logged
+    from coordlog.sim.traced import Traced
     from coordlog.tasks.registry import TASKS
     from coordlog.tasks.unknown import UnknownTask
     from coordlog.train.digrad import Learner

@@ -24,7 +24,7 @@ def record(
     scene: Annotated[
         str,
         typer.Option(
-            help="free, spheres, table, shelf, planar, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
+            help="free, spheres, table, shelf, planar, hold, or your own, FILE.py:NAME or ROBOT.toml; by default the policy's, or table."
         ),
     ] = "",
     env_id: Annotated[

@@ -16,9 +16,10 @@ import numpy as np
 from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.sim.physics import STATE
-from coordlog.sim.replay import Log, LogEnv, Traced, first_state, task_of
+from coordlog.sim.replay import Log, LogEnv, first_state, task_of
 from coordlog.sim.rollout import ended, rollout
 from coordlog.sim.simulation import Simulation
+from coordlog.sim.traced import Traced
 from coordlog.spec import names
 
 ONE = np.zeros(1, dtype=np.int64)

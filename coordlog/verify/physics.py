@@ -18,7 +18,8 @@ from coordlog.errors import CoordlogError
 from coordlog.mjcf import load_attached
 from coordlog.record.opening import File
 from coordlog.record.reader import read_attachments, read_episode
-from coordlog.sim.replay import Log, Trace, exact_here, replay
+from coordlog.sim.replay import Log, exact_here, replay
+from coordlog.sim.traced import Trace
 from coordlog.verify.finding import Finding
 from coordlog.verify.observed import judged
 

@@ -8,9 +8,10 @@ import pytest
 from coordlog.contracts import Outcome
 from coordlog.policies.scripted import scripted
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.replay import Log, LogEnv, Traced
+from coordlog.sim.replay import Log, LogEnv
 from coordlog.sim.rollout import rollout
 from coordlog.sim.scoring import evaluate
+from coordlog.sim.traced import Traced
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.hold.task import HoldConfig, HoldTask
 from coordlog.tasks.scene import find
