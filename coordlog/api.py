@@ -43,7 +43,7 @@ def open(source: Source | Iterable[Source], *, skip_broken: bool = False) -> Dat
 
 def record(
     what: Any = "table",
-    policy: str | Policy = "expert",
+    policy: Any = "expert",
     *,
     episodes: int = 10,
     out: Source = "logs",
@@ -81,6 +81,10 @@ def record(
     if not isinstance(what, str | Scene):
         from coordlog.record.foreign import record_env
 
+        if not callable(policy):
+            raise ConfigError(
+                f"policy: expected a function from observation to action, got {policy!r}"
+            )
         done = record_env(what, policy, episodes=episodes, out=Path(out), seed=seed, **options)
         return sorted(done.files)
     return _record_scene(
@@ -299,5 +303,5 @@ def export(source: Source | Sequence[Source], *, to: str, out: Source, **options
 
 
 def _paths(source: Source | Sequence[Source]) -> list[Path]:
-    one = isinstance(source, str | os.PathLike)
-    return [Path(each) for each in ([source] if one else source)]  # type: ignore[list-item]
+    several = [source] if isinstance(source, str | os.PathLike) else source
+    return [Path(each) for each in several]

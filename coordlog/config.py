@@ -133,7 +133,7 @@ def _checked(
     return {key: _value(kind, key, value, prefix=prefix) for key, value in values.items()}
 
 
-def _value(kind: type[Any], key: str, value: Any, *, prefix: str) -> Any:
+def _value(kind: Any, key: str, value: Any, *, prefix: str) -> Any:
     from pydantic import ValidationError
 
     given = _tuples(value)
@@ -161,7 +161,7 @@ def _tuples(value: Any) -> Any:
 
 
 @cache
-def _adapter(kind: type[Any], key: str) -> TypeAdapter[Any]:
+def _adapter(kind: Any, key: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
     return TypeAdapter(get_type_hints(kind)[key])
