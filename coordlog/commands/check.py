@@ -72,12 +72,14 @@ def check(
         _name(left_out.values(), files.parts)
         raise nothing_found(path, files._replace(skipped=()))
     inexact: dict[str, str] = {}
+    notes: list[str] = []
     began, steps = time.perf_counter(), 0
     with terminal.progress() as bar:
         task = bar.add_task(f"checking ({level})", total=len(paths), note="")
         for answer in mapped(partial(check_files, level=level), batches(paths, BATCH), jobs=jobs):
             findings += answer.findings
             inexact |= answer.inexact
+            notes += answer.notes
             steps += answer.steps
             bar.update(
                 task, advance=answer.files, note=f"{len(findings)} findings" if findings else ""
@@ -88,6 +90,7 @@ def check(
         "files": len(paths),
         "findings": [item._asdict() for item in findings],
         "inexact": inexact,
+        "notes": notes,
         "skipped": {str(name): reason for name, reason in left_out.items()},
         "unfinished": [str(name) for name in files.parts],
         "steps": steps,
@@ -147,6 +150,8 @@ def _show(report: dict[str, Any], findings: list[Finding]) -> None:
     for item in findings:
         terminal.say(item, style="red")
     _name(report["skipped"].values(), report["unfinished"])
+    for note in report["notes"]:
+        terminal.note(note)
     reasons = sorted(set(report["inexact"].values()))
     observed = sum(reason.startswith("observed") for reason in reasons)
     for reason in reasons:

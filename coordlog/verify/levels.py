@@ -27,6 +27,8 @@ class Checked(NamedTuple):
     files: int
     steps: int
     """Steps that were simulated again."""
+    notes: tuple[str, ...] = ()
+    """What else is worth knowing: files that another program has written anew."""
 
 
 def check_files(paths: list[Path], *, level: str) -> Checked:
@@ -38,18 +40,23 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
             bit for bit.
     """
     from coordlog.verify.file import check as check_one
+    from coordlog.verify.file import rewritten
 
     findings: list[Finding] = []
+    notes: list[str] = []
     for path in paths:
         try:
-            findings += check_one(
+            found = check_one(
                 path, level="file" if level == "file" else "content", rewards=logged_rewards
             )
+            findings += found
+            if not found and (note := rewritten(path)):
+                notes.append(f"{path}: {note}")
         except StorageError as error:  # it could be read a moment ago
             said = str(error).removeprefix(f"{path}: ")
             findings.append(Finding(str(path), "file", None, "file", "a readable file", said))
     if level != "replay":
-        return Checked(findings, {}, len(paths), 0)
+        return Checked(findings, _observed(paths, findings), len(paths), 0, tuple(notes))
     from coordlog.verify.physics import check_replay
     from coordlog.verify.trial import runnable
 
@@ -58,7 +65,17 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
     findings += tried
     damaged |= {item.path for item in tried}
     replays = check_replay([path for path in paths if str(path) not in damaged])
-    return Checked(findings + replays.findings, replays.inexact, len(paths), replays.steps)
+    findings += replays.findings
+    return Checked(findings, replays.inexact, len(paths), replays.steps, tuple(notes))
+
+
+def _observed(paths: list[Path], findings: list[Finding]) -> dict[str, str]:
+    """What is to be said of the episodes that came from outside."""
+    from coordlog.verify.observed import judged
+
+    damaged = {item.path for item in findings}
+    said = {str(path): judged(path) for path in paths if str(path) not in damaged}
+    return {path: text for path, text in said.items() if text}
 
 
 def logged_rewards(
