@@ -183,7 +183,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     ("args", "said"),
     [
         (("--from", "nowhere"), "no such file or folder"),
-        (("--from", Path(__file__).parent), "found none"),
+        (("--from", Path(__file__).parent), "no episodes (.mcap) under"),
         (("--from", FIXTURES), "layouts"),
         (
             ("--from", FIXTURES / "table", "--from", FIXTURES / "shelf"),
