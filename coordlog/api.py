@@ -203,9 +203,9 @@ def smooth(source: Any, *rest: Any, out: Source | None = None, **options: Any) -
     """Smooth logs into a folder, or one joint path given as arrays.
 
     Args:
-        source: Logs; or the times (T,) [s] of one path, with its joint angles (T, n_j) and
-            optionally a checker behind it: `coordlog.smooth.smoother.smooth` says the rest.
-        rest: For a path: joint angles, and a checker.
+        source: Logs; or the times (T,) [s] of one path.
+        rest: For a path: joint angles (T, n_j), and a checker (`coordlog.contracts.Checker`);
+            without one nothing is in the way. `coordlog.smooth.smoother.smooth` says the rest.
         out: For logs: folder for the smoothed episodes.
         options: method, cutoff, max_deviation, clearance, …
 
@@ -221,9 +221,14 @@ def smooth(source: Any, *rest: Any, out: Source | None = None, **options: Any) -
         {'smoothed': 10}
     """
     if rest:
+        import numpy as np
+
+        from coordlog.smooth.feasibility import Unobstructed
         from coordlog.smooth.smoother import smooth as smooth_path
 
-        return smooth_path(source, *rest, **options)
+        angles, *given = rest
+        checker = given[0] if given else Unobstructed(np.shape(angles)[-1])
+        return smooth_path(source, angles, checker, **options)
     if out is None:
         raise ConfigError("smooth: expected a folder for the smoothed logs (out=…), got none")
     from coordlog.smooth.batch import plan, summary

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from coordlog.train.settings import Settings
     from coordlog.train.task import Outcome
 
+STEPS = 150_000
+"""Live steps of a run with the preset `default` that names no budget: enough for `free`."""
+
 
 def train(
     source: Annotated[
@@ -42,7 +45,7 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="default, live, or paper: as printed there. Without a word, live if there are no logs, else default."
+            help="default, live, or paper: as printed there. Without a word, live where there are fixed obstacles and no logs, else default."
         ),
     ] = "",
     config: Annotated[
@@ -166,7 +169,10 @@ def train(
         if steps and updates is None and "updates" not in tables.get("loop", {})
         else []
     )
-    preset = preset or _preset(out if resume else None, live=not source)
+    if not preset:
+        preset = _preset(out if resume else None, scene, live=not source)
+        if preset == "default" and not source and steps is None and not tables.get("loop"):
+            given |= {"loop.steps": STEPS, "loop.updates": updates or 0}
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
     logs = (
         load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs, verify=verify)
@@ -229,15 +235,19 @@ def train(
     _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
 
 
-def _preset(resumed: Path | None, *, live: bool) -> str:
-    """The preset of a run that names none: that of the run it goes on with, or by whether it learns
-    from live steps alone.
+def _preset(resumed: Path | None, scene: str, *, live: bool) -> str:
+    """The preset of a run that names none: that of the run it goes on with, or what was measured to
+    learn best.
+
+    From live steps alone, `live` goes around fixed obstacles, where `default` learns nothing; where
+    there are none, `default` learns in a third of the steps.
     """
+    from coordlog.tasks.own import scene_of
     from coordlog.train import run as runs
 
     if resumed is not None:
         return str(runs.recall(resumed).get("preset", "default"))
-    return "live" if live else "default"
+    return "live" if live and scene_of(scene or "table").panels else "default"
 
 
 def _around(

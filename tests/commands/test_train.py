@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from coordlog.cli import app
+from coordlog.commands.train import _preset
 from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
 from coordlog.policies.learned import Policy
@@ -302,9 +303,20 @@ def test_a_broken_log_is_named_and_left_out_when_asked(
 
 
 def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path: Path) -> None:
-    """Without a word on the preset: slow decisions, starts elsewhere, both judged and trained."""
+    """The preset `live`: slow decisions, starts elsewhere, both judged and trained."""
     run = tmp_path / "run"
-    live = ["train", "--scene", "planar", "--steps", "64", "--eval-every", "5", *SMALL]
+    live = [
+        "train",
+        "--scene",
+        "planar",
+        "--preset",
+        "live",
+        "--steps",
+        "64",
+        "--eval-every",
+        "5",
+        *SMALL,
+    ]
     live += ["--set", "replay.warmup=32", "--set", "env.max_steps=4", "--set", "train.inflate=0.01"]
     coordlog(cache, *live, "--out", run)
     said = json.loads((run / "run.json").read_text())
@@ -318,6 +330,22 @@ def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path:
     assert easier == {0.0}
     coordlog(cache, "check", run / "episodes", "--jobs", "1")
     coordlog(cache, *live, "--out", run, "--resume")
+
+
+@pytest.mark.parametrize(
+    ("scene", "live", "preset"),
+    [
+        ("", True, "live"),
+        ("table", True, "live"),
+        ("shelf", True, "live"),
+        ("free", True, "default"),
+        ("spheres", True, "default"),
+        ("planar", True, "default"),
+        ("table", False, "default"),
+    ],
+)
+def test_the_preset_follows_what_stands_in_the_way(scene: str, live: bool, preset: str) -> None:
+    assert _preset(None, scene, live=live) == preset
 
 
 def test_logs_of_another_period_are_named(cache: Path, logs: Path, tmp_path: Path) -> None:
