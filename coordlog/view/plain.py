@@ -13,7 +13,7 @@ from rerun.blueprint.components import VisualizerComponentMapping
 from rerun.blueprint.encodings import ComponentSourceKind
 
 from coordlog.episode import Json
-from coordlog.spec import ARM, JOINT_STATE_TOPIC, STEP
+from coordlog.spec import ARM, JOINT_STATE_TOPIC, STEP, TASK_TOPIC
 from coordlog.view.layout import panes
 from coordlog.view.palette import ARMS, cycle
 
@@ -61,7 +61,7 @@ def foxglove_layout(arms: Sequence[str], joints: Sequence[str], shown: Collectio
         for i, name in enumerate(joints)
     ]
     flags = [f"{ARM.topic}{arm}.{flag}" for flag in ("boundary", "goal") for arm in arms]
-    flags += [f"{STEP.topic}.{flag}" for flag in ("collision", "instability")]
+    flags += [f"{TASK_TOPIC}reach.{flag}" for flag in ("collision", "instability")]
     panels = {
         "Plot!joints": _plot("joint angles [rad]", angles),
         "Plot!distance": _plot("palm to goal [m]", _by_arm(arms, "distance")),

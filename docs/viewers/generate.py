@@ -3,9 +3,7 @@
 import json
 from pathlib import Path
 
-import mujoco
-
-from coordlog.mjcf import compose
+from coordlog.mjcf import compile_model, compose
 from coordlog.sim.env import hinges
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
@@ -16,10 +14,7 @@ def main(folder: Path) -> None:
     """Write `humanoid.rbl` and `humanoid.foxglove.json` into a folder."""
     scene = SCENES["table"]
     arms = [arm.name for arm in scene.robot.arms]
-    joints = [
-        joint["name"]
-        for joint in hinges(mujoco.MjModel.from_xml_string(compose(scene, EnvConfig())))
-    ]
+    joints = [joint["name"] for joint in hinges(compile_model(compose(scene, EnvConfig())))]
     plain_blueprint(arms).save(APPLICATION, str(folder / "humanoid.rbl"))
     layout = json.dumps(foxglove_layout(arms, joints, scene.robot.action_joints), indent=1)
     (folder / "humanoid.foxglove.json").write_text(layout + "\n", encoding="utf-8")

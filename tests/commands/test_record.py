@@ -98,7 +98,7 @@ def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
     [
         (
             ("--scene", "tabel"),
-            "unknown scene 'tabel'; choose one of: a FILE.py:NAME of your own, free, planar, shelf, spheres, table",
+            "unknown scene 'tabel'; choose one of: a FILE.py:NAME of your own, free, hold, planar, shelf, spheres, table",
         ),
         (
             ("--policy", "exprt"),

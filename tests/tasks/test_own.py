@@ -3,7 +3,6 @@ policy does."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,8 +23,15 @@ def test_a_scene_of_a_file_is_the_object_of_that_name(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN)
     scene = scene_of(f"{tmp_path}/own.py:PLAIN")
     assert scene.name == "plain"
-    assert scene.robot.assets == tmp_path.resolve(), "files of its robot lie beside it"
-    assert replace(scene.robot, assets=None) == SCENES["planar"].robot
+    assert scene.robot == SCENES["planar"].robot
+
+
+def test_files_of_a_robot_lie_beside_the_file_of_its_scene(tmp_path: Path) -> None:
+    meshes = OWN.replace('name="plain")', 'name="plain", robot=ROBOT)').replace(
+        "\nPLAIN", '\nROBOT = replace(find("planar").robot, mjcf=\'<mesh file="a.stl"/>\')\nPLAIN'
+    )
+    (tmp_path / "own.py").write_text(meshes)
+    assert scene_of(f"{tmp_path}/own.py:PLAIN").robot.assets == tmp_path.resolve()
 
 
 def test_a_scene_that_ships_is_found_by_its_name() -> None:

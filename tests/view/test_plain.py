@@ -9,7 +9,7 @@ import rerun as rr
 
 from coordlog.errors import ViewerError
 from coordlog.record.writer import write_episode
-from coordlog.spec import ARM, JOINT_STATE_TOPIC, STEP
+from coordlog.spec import ARM, JOINT_STATE_TOPIC, REACH, STEP, TASK_TOPIC
 from coordlog.view import viewer
 from coordlog.view.headless import Headless
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
@@ -76,6 +76,7 @@ def test_every_path_of_the_foxglove_layout_is_a_field_of_a_message(shows, scene)
     fields = {ARM.topic + arm: {item.name for item in ARM.fields} for arm in header.arms}
     fields |= {
         STEP.topic: {item.name for item in STEP.fields},
+        f"{TASK_TOPIC}reach": {item.name for item in REACH},
         JOINT_STATE_TOPIC: {f"position[{i}]" for i in range(len(joints))},
     }
     paths = [path for panel in layout["configById"].values() for path in panel.get("paths", [])]
