@@ -335,3 +335,57 @@ def test_draws_go_on_while_some_are_feasible_and_say_why_others_are_not():
         SimulationError, match=r"no feasible problem in 200 draws .*out of reach \(200 of 200\)"
     ):
         env.problem(seed=0, split="train", index=0)
+
+
+@pytest.mark.parametrize("name", ["", 'name="my table"'])
+def test_a_geom_of_the_world_needs_no_name_and_may_have_blanks_in_it(name):
+    world = f'<geom {name} type="box" size="0.1 0.1 0.02" pos="0 0 0.2"/>'
+    pair = '<contact><pair geom1="my table" geom2="fore"/></contact>' if name else ""
+    model = started(scene(world=world, more=pair)).task.model
+    assert model.tuple_size.tolist() == [1]
+    assert model.npair == bool(name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"servo": '<position joint="b"/><position joint="b"/>'}, "'b' has 2 position servos"),
+        ({"option": '<flag contact="disable"/>'}, "switches contacts off"),
+        ({"option": '<flag sleep="enable"/>'}, "lets bodies sleep"),
+        ({"free": '<joint name="z" type="slide" axis="0 0 1"/>'}, "joint 'z', which carries a"),
+        ({"b": 'range="nan 1"'}, 'range="nan 1": expected numbers'),
+        ({"held": {"grip": 1.0}}, "held names the actuator 'grip'"),
+        ({"servo_gains": {"c": (1.0, 1.0)}}, "servo_gains names the joint 'c'"),
+        ({"ranges": {"c": (0.0, 1.0)}}, "ranges names the joint 'c'"),
+    ],
+)
+def test_what_would_go_wrong_without_a_word_is_said(changes, said):
+    assert said in faulty(scene(**changes))
+
+
+def test_a_timestep_of_nothing_is_refused():
+    with pytest.raises(ConfigError, match="timestep 0 s"):
+        compose(replace(scene(), robot=robot(text().replace("0.004", "0"))), EnvConfig())
+
+
+@pytest.mark.parametrize(
+    "changes", [{"pose": (float("nan"), 0.0)}, {"pose": ("a", 0.0)}, {"servo_gains": {"b": (0, 1)}}]
+)
+def test_a_spec_has_numbers_that_mean_something(changes):
+    with pytest.raises(ConfigError, match="expected"):
+        robot(**changes)
+
+
+def test_sensors_that_a_model_switches_off_are_read_nevertheless():
+    env = started(scene(option='<flag sensor="disable"/>'))
+    assert env.task.palms(env.physics.sensors).any()
+
+
+def test_a_gripper_whose_control_is_a_speed_is_left_still():
+    servo = '<position joint="b"/><intvelocity name="f" joint="f" kp="5" actrange="-1 1"/>'
+    world = (
+        '<body pos="0 1 0"><joint name="f" axis="0 0 1"/><geom type="sphere" size="0.01"/></body>'
+    )
+    env = started(scene(servo=servo, world=world))
+    held = env.physics.qpos[0, [env.task.model.joint("f").qposadr[0]]]
+    assert held == pytest.approx([0.0], abs=1e-6)
