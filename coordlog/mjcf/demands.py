@@ -17,7 +17,11 @@ def unknown_names(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
     """Joints and actuators that the robot's tables name and its model does not have."""
     joints = {joint.name for joint in spec.joints}
     actuators = {act.name or f"actuator {i}" for i, act in enumerate(spec.actuators)}
-    said = []
+    said = [
+        f"arm '{arm.name}' has no joints: expected those that move its palm"
+        for arm in robot.arms
+        if not arm.joints and not robot.shared
+    ]
     for table, names, kind, known in (
         ("servo_gains", robot.servo_gains, "joint", joints | {"*"}),
         ("ranges", robot.ranges, "joint", joints),

@@ -604,7 +604,7 @@ def recording(
         "scene": name,
         "start_time": time.time_ns(),
     }
-    path = Path(out) / f"{name}-000000-{run}.mcap"
+    path = Path(out) / f"{name.replace('/', '_')}-000000-{run}.mcap"
     log = EpisodeLog(
         model,
         data,

@@ -99,6 +99,16 @@ class Robot:
                 raise ConfigError(
                     f"robot '{self.name}': expected a finite number as {where}, got {value!r}"
                 )
+        if self.reach <= 0:
+            raise ConfigError(f"robot '{self.name}': expected reach above 0 m, got {self.reach:g}")
+        names = [arm.name for arm in self.arms]
+        if len(set(names)) != len(names):
+            raise ConfigError(f"robot '{self.name}': expected arms of different names, got {names}")
+        for joint, (low, high) in self.ranges.items():
+            if low >= high:
+                raise ConfigError(
+                    f"robot '{self.name}': expected ranges['{joint}'] as (low, high), got ({low:g}, {high:g})"
+                )
         if any(kp <= 0 or kv < 0 for kp, kv in self.servo_gains.values()):
             raise ConfigError(
                 f"robot '{self.name}': expected servo_gains (kp, kv) with kp > 0 and kv >= 0, got {dict(self.servo_gains)}"

@@ -278,3 +278,27 @@ def test_an_episode_that_has_ended_takes_no_more_steps(tmp_path):
         log.step(np.zeros(2), truncated=True)
         with pytest.raises(SimulationError, match="has ended"):
             log.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("WIDE", "with the policy .*WIDE: ValueError: Action dimension"),
+        ("NEEDS", "the class cannot be made without arguments"),
+        ("", "write FILE.py:NAME"),
+    ],
+)
+def test_a_policy_of_the_users_that_fails_is_said_to_be_theirs(name, said, tmp_path):
+    pytest.importorskip("gymnasium")
+    from coordlog.commands.foreign import record_environment
+
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "WIDE = lambda o: [0.0] * 7\nclass NEEDS:\n    def __init__(self, a): pass\n",
+        encoding="utf-8",
+    )
+    chosen = f"{file}:{name}" if name else str(file)
+    with pytest.raises(ConfigError, match=said):
+        record_environment(
+            "Reacher-v5", chosen, episodes=1, seed=0, out=tmp_path / "out", as_json=False
+        )

@@ -389,3 +389,48 @@ def test_a_gripper_whose_control_is_a_speed_is_left_still():
     env = started(scene(servo=servo, world=world))
     held = env.physics.qpos[0, [env.task.model.joint("f").qposadr[0]]]
     assert held == pytest.approx([0.0], abs=1e-6)
+
+
+def test_a_name_with_a_slash_is_no_folder(tmp_path):
+    import coordlog
+
+    where = replace(scene(), name="mine/first")
+    (file,) = coordlog.record(where, "still", episodes=1, out=tmp_path)
+    assert file.parent == tmp_path
+    assert file.name.startswith("mine_first-")
+    assert coordlog.open(file)[0].header.episode["scene"] == "mine/first"
+
+
+CARD = """
+[robot]
+name = "r"
+model = "arm.xml"
+centre = [0.2, 0, 0.5]
+reach = 0.6
+[[arms]]
+name = "arm"
+palm = "tip"
+joints = ["a", "b"]
+[poses.stand]
+a = 0.4
+"""
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "said"),
+    [
+        ("reach = 0.6", "reach = 0", "expected reach above 0 m"),
+        ("[0.2, 0, 0.5]", "[0.2, 0]", "robot.centre: expected another number of values"),
+        ('joints = ["a", "b"]', "joints = []", "arm 'arm' has no joints"),
+        ("[[arms]]", "[ranges]\nb = [1.0, 0.0]\n[[arms]]", "expected ranges\\['b'\\] as"),
+        ("[poses", '[[arms]]\nname = "arm"\npalm = "tip"\njoints = []\n[poses', "different names"),
+    ],
+)
+def test_a_card_that_cannot_be_meant_is_refused(here, there, said, tmp_path):
+    from coordlog.tasks.own import scene_of
+
+    (tmp_path / "arm.xml").write_text(text())
+    card = tmp_path / "card.toml"
+    card.write_text(CARD.replace(here, there), encoding="utf-8-sig")
+    with pytest.raises(ConfigError, match=said):
+        compose(scene_of(str(card)), EnvConfig())
