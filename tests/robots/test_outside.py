@@ -16,6 +16,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.examine import examine
 from coordlog.sim.replay import Log, replay
 from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import Panel
 from tests.robots.outside import robot, scene, text
 
 ONE = np.zeros(1, dtype=int)
@@ -434,3 +435,16 @@ def test_a_card_that_cannot_be_meant_is_refused(here, there, said, tmp_path):
     card.write_text(CARD.replace(here, there), encoding="utf-8-sig")
     with pytest.raises(ConfigError, match=said):
         compose(scene_of(str(card)), EnvConfig())
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"panels": (Panel("p", (2, 0, 0), (1, 1, 1)),) * 2}, "panels of different names"),
+        ({"spheres": 1, "sphere_box": ((1, 0), (0, 1), (0, 1))}, "sphere_box as .low, high."),
+        ({"spheres": 1, "sphere_box": ((float("nan"), 0),) * 3}, "sphere_box as .low, high."),
+    ],
+)
+def test_a_scene_that_cannot_be_meant_is_refused(changes, said):
+    with pytest.raises(ConfigError, match=said):
+        replace(scene(), **changes)
