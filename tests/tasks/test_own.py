@@ -3,7 +3,6 @@ policy does."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,8 +23,15 @@ def test_a_scene_of_a_file_is_the_object_of_that_name(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN)
     scene = scene_of(f"{tmp_path}/own.py:PLAIN")
     assert scene.name == "plain"
-    assert scene.robot.assets == tmp_path.resolve(), "files of its robot lie beside it"
-    assert replace(scene.robot, assets=None) == SCENES["planar"].robot
+    assert scene.robot == SCENES["planar"].robot
+
+
+@pytest.mark.parametrize("said", ['file="m.stl"', "file = 'm.stl'", 'filename="package://m.stl"'])
+def test_files_of_a_scenes_robot_lie_beside_it(said: str, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        OWN + f"robot = replace(PLAIN.robot, mjcf={said!r})\nMESH = replace(PLAIN, robot=robot)\n"
+    )
+    assert scene_of(f"{tmp_path}/own.py:MESH").robot.assets == tmp_path.resolve()
 
 
 def test_a_scene_that_ships_is_found_by_its_name() -> None:
