@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from coordlog.tasks.scene import Scene
     from coordlog.verify.levels import Checked
 
+OF_ENVIRONMENTS = ("about", "each", "source", "verify")
+"""Options of `record` with an environment of another program."""
 Source = str | os.PathLike[str]
 """A file, a folder that is searched at any depth, a pack, a manifest, or s3://…"""
 
@@ -56,8 +58,8 @@ def record(
 
     Args:
         what: A scene: its name, FILE.py:NAME, ROBOT.toml, or a `Scene`. Or an environment of
-            another program on MuJoCo, as Gymnasium's are; the policy is then a function from
-            observation to action, and `options` are those of `coordlog.record.foreign.record_env`.
+            another program on MuJoCo, as Gymnasium's are; the policy is then "random", a
+            function from observation to action, or an object with `predict` or `act`, and `options` are those of `coordlog.record.foreign.record_env`.
         policy: Name as on the command line, or a `Policy` (`coordlog.contracts`).
         episodes: How many.
         out: Folder; files already in it stay as they are.
@@ -79,13 +81,19 @@ def record(
     from coordlog.tasks.scene import Scene
 
     if not isinstance(what, str | Scene):
+        from coordlog.policies.foreign import as_act
         from coordlog.record.foreign import record_env
 
-        if not callable(policy):
-            raise ConfigError(
-                f"policy: expected a function from observation to action, got {policy!r}"
-            )
-        done = record_env(what, policy, episodes=episodes, out=Path(out), seed=seed, **options)
+        for name in options:
+            if name not in OF_ENVIRONMENTS:
+                raise unknown("option of an environment", name, OF_ENVIRONMENTS)
+        if noise:
+            raise ConfigError("noise: only scenes have it; let the policy of an environment add it")
+        if policy == "random" and hasattr(what, "action_space"):
+            what.action_space.seed(seed)
+            policy = lambda observation: what.action_space.sample()  # noqa: E731
+        act = as_act(policy, "policy")
+        done = record_env(what, act, episodes=episodes, out=Path(out), seed=seed, **options)
         return sorted(done.files)
     return _record_scene(
         what, policy, episodes=episodes, out=Path(out), drawn=(seed, split), noise=noise, **options

@@ -151,6 +151,9 @@ def _wanted(error: Any) -> str:
         name = EXPECTED.get(each["type"], each["msg"])
         if each["type"] == "literal_error":
             name = "one of " + each["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
+        if each["type"] in ("missing", "too_long"):
+            wanted.append("another number of values")
+            continue
         inside = any(isinstance(place, int) for place in each["loc"])
         wanted.append(f"a list of {PLURAL.get(name, name)}" if inside else name)
     return " or ".join(dict.fromkeys(wanted))

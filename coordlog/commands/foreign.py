@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_INTERRUPTED, ConfigError
+from coordlog.errors import EXIT_INTERRUPTED, ConfigError, CoordlogError
 
 if TYPE_CHECKING:
     from coordlog.record.foreign import Recorder
@@ -44,9 +44,16 @@ def record_environment(
             if interrupted:
                 raise typer.Exit(EXIT_INTERRUPTED)
 
-        recorder = record_env(
-            env, act, episodes=episodes, out=out, seed=seed, about=about, each=each
-        )
+        try:
+            recorder = record_env(
+                env, act, episodes=episodes, out=out, seed=seed, about=about, each=each
+            )
+        except (CoordlogError, OSError, typer.Exit):
+            raise
+        except Exception as error:  # environment and policy are the user's
+            raise ConfigError(
+                f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: {error}"
+            ) from error
     seconds = time.perf_counter() - began
     summary = {
         "run": recorder.run,

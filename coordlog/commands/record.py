@@ -124,6 +124,8 @@ def record(
             raise ConfigError(
                 "--env: an environment of its own, expected no --scene, --branch, --where or --config beside it"
             )
+        if noise or split != "train":
+            raise ConfigError("--env: an environment of its own has no --noise and no --split")
         acts = "" if policy == "expert" else policy
         record_environment(
             env_id, acts, episodes=episodes or 10, seed=seed, out=out, as_json=as_json

@@ -12,6 +12,7 @@ import numpy as np
 
 from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf.attached import require_size
+from coordlog.mjcf.demands import some, switched, unknown_names
 from coordlog.mjcf.printing import Source, printed, refusal
 from coordlog.mjcf.servos import HINGE, SLIDE, make_servos
 from coordlog.mjcf.soles import corners
@@ -130,9 +131,9 @@ def _fit(spec: mujoco.MjSpec, scene: Scene) -> None:
         ConfigError: one sentence for each thing that cannot be had, all together.
     """
     robot = scene.robot
-    faults = _taken(spec, scene)
+    faults = _taken(spec, scene) + switched(spec) + unknown_names(spec, robot)
     faults += [
-        f"its spec names a joint '{name}', but its model has {_some(joint.name for joint in spec.joints)}"
+        f"its spec names a joint '{name}', but its model has {some(joint.name for joint in spec.joints)}"
         for name in robot.action_joints
         if spec.joint(name) is None
     ]
@@ -214,9 +215,23 @@ def _base(spec: mujoco.MjSpec, robot: Robot) -> str:
 
 def _name(spec: mujoco.MjSpec) -> None:
     """Give every geom a name: what touches what is said by names."""
+    for i, geom in enumerate(spec.worldbody.geoms):
+        # MuJoCo reads the names of a tuple (_mark_own) as a list, parted by blanks
+        plain = "_".join(geom.name.split()) or f"world_geom_{i}"
+        if plain != geom.name:
+            _rename(spec, geom, _free_name(spec.geom, plain))
     for body in spec.bodies:
         for i, geom in enumerate(body.geoms):
             geom.name = geom.name or _free_name(spec.geom, f"geom {i} of {body.name or 'a body'}")
+
+
+def _rename(spec: mujoco.MjSpec, geom: Any, name: str) -> None:
+    for pair in spec.pairs if geom.name else ():
+        if pair.geomname1 == geom.name:
+            pair.geomname1 = name
+        if pair.geomname2 == geom.name:
+            pair.geomname2 = name
+    geom.name = name
 
 
 def _mark_own(spec: mujoco.MjSpec) -> None:
@@ -295,8 +310,3 @@ def _free_name(lookup: Any, name: str) -> str:
     while lookup(name if not i else f"{name}_{i}") is not None:
         i += 1
     return name if not i else f"{name}_{i}"
-
-
-def _some(names: Any) -> str:
-    found = sorted(str(name) for name in names if name)
-    return ", ".join(found[:12]) + (" …" if len(found) > 12 else "")

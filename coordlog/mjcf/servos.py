@@ -75,6 +75,8 @@ def held_controls(model: mujoco.MjModel, qpos: Array, robot: Robot, pose: str) -
 def _idle(model: mujoco.MjModel, actuator: int, length: float) -> float:
     """The control at which an actuator makes no force at rest, within its range; 0 for a motor."""
     gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+    if model.actuator_dyntype[actuator] not in LAGS:
+        return 0.0  # an integrator's control is a speed
     if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE or not gain:
         return 0.0
     control = -(bias[0] + bias[1] * length) / gain
@@ -95,6 +97,10 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
     for joint in spec.joints:
         own = [act for act in drives if act.target == joint.name]
         served = sum(_normalised(act) for act in own)
+        if served > 1 and joint.name in robot.action_joints:
+            faults.append(
+                f"joint '{joint.name}' has {served} position servos, which would pull against one another: expected one"
+            )
         if served or joint.type not in (HINGE, SLIDE):
             continue
         gains = robot.gains(joint.name)

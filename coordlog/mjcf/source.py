@@ -8,6 +8,7 @@ of their bytes.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -61,6 +62,12 @@ def model_alone(file: Path) -> Source:
         ConfigError: as `whole`.
     """
     return whole(Robot(file.stem, file, (Arm("none", "none", ()),), poses={"stand": {}}))
+
+
+ATTRIBUTE = re.compile(r"""([\w:]+)\s*=\s*["']([^"']*)["']""")
+NOT_NUMBERS = ("nan", "-nan", "+nan")
+LABELS = ("name", "class", "childclass", "joint", "body", "site", "geom", "model")
+"""Attributes that may say "nan" and mean a name."""
 
 
 class _Key:
@@ -121,6 +128,7 @@ def _whole(key: _Key) -> Source:
 
 
 def _read(robot: Robot) -> mujoco.MjSpec:
+    _without_nan(robot)
     try:
         if isinstance(robot.mjcf, Path):
             if not robot.mjcf.is_file():
@@ -131,6 +139,22 @@ def _read(robot: Robot) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(robot.mjcf, include=_included(robot))
     except ValueError as error:
         raise _refused(robot, error) from error
+
+
+def _without_nan(robot: Robot) -> None:
+    """MuJoCo takes a NaN in a model for a number that is not given, without a word.
+
+    Raises:
+        ConfigError: naming the attribute that has one.
+    """
+    text = robot.mjcf
+    if isinstance(text, Path):
+        text = text.read_text(encoding="utf-8", errors="replace") if text.is_file() else ""
+    for name, values in ATTRIBUTE.findall(text):
+        if name not in LABELS and any(part.lower() in NOT_NUMBERS for part in values.split()):
+            raise ConfigError(
+                f"robot '{robot.name}': its model has {name}=\"{values}\": expected numbers"
+            )
 
 
 def _included(robot: Robot) -> dict[str, bytes]:
@@ -228,7 +252,7 @@ def _where(robot: Robot) -> str:
     if isinstance(robot.assets, Path):
         return str(robot.assets)
     if robot.assets is None:
-        return "the model's text: give the robot's `mjcf` as a Path, or its files as `assets`"
+        return "its text, and no folder is given: give the robot's `mjcf` as a Path, or its files as `assets`"
     return f"the robot's assets ({', '.join(sorted(robot.assets)) or 'none'})"
 
 

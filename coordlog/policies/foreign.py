@@ -34,6 +34,8 @@ def load(name: str) -> tuple[Act, Json]:
         ConfigError: if there is none, or it is of another kind, which is named.
     """
     file, colon, attribute = name.rpartition(":")
+    if colon and file.endswith(".py") and not Path(file).is_file():
+        raise ConfigError(f"{file}: expected a policy's file, found no such file")
     if colon and file.endswith(".py"):
         found = _run(Path(file))
         if attribute not in found:
@@ -59,7 +61,12 @@ def as_act(policy: Any, name: str) -> Act:
         ConfigError: if it can do nothing of the kind.
     """
     if isinstance(policy, type):
-        policy = policy()
+        try:
+            policy = policy()
+        except Exception as error:  # the class is the user's
+            raise ConfigError(
+                f"{name}: the class cannot be made without arguments: {type(error).__name__}: {error}"
+            ) from error
     if hasattr(policy, "predict"):
         return lambda observation: policy.predict(observation, deterministic=True)[0]
     if hasattr(policy, "act"):
@@ -119,6 +126,8 @@ def _names() -> str:
 def _kind(path: Path) -> str:
     """What a file is, by its first bytes."""
     head = path.read_bytes()[:16]
+    if path.suffix == ".py":
+        return "a file without the name in it: write FILE.py:NAME"
     if path.suffix == ".safetensors":
         return "a policy of coordlog's own (.safetensors), which acts in coordlog's scenes alone"
     if head[:1] == b"\x80":

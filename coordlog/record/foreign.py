@@ -12,7 +12,9 @@ again from that while it is recorded (sim/foreign.py), so a file that is there r
 from __future__ import annotations
 
 import hashlib
+import inspect
 import platform
+import re
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -34,6 +36,11 @@ from coordlog.sim.inputs import Inputs
 from coordlog.spec import INPUTS, SCHEMA_VERSION
 from coordlog.version import __version__
 
+RESET, STEP = (
+    ("observation", "info"),
+    ("observation", "reward", "terminated", "truncated", "info"),
+)
+VECTORISED = "{}: several environments in one: expected a single one; record each of them by itself"
 Policy = Callable[[Any], Any]
 """Observation in, action out."""
 
@@ -79,6 +86,8 @@ class EpisodeLog:
         self._rows: list[dict[str, Array]] = []
         self._changes: list[tuple[int, int, Array]] = []
         self._seen = self._present(observation)
+        self._like: dict[str, tuple[Any, tuple[int, ...]]] | None = None
+        self._closed = False
         self.length = 0
         """Steps so far."""
         self.set_from_outside = 0
@@ -109,38 +118,72 @@ class EpisodeLog:
                 stays in the file, which is closed as aborted.
             SpecError: for a NaN, or another number of values than before.
         """
-        end = state_of(self._model, self._data)
+        if self._closed:
+            raise SimulationError("step: the episode has ended; begin another")
         try:
-            followed = self._follow(end)
+            followed = self._follow(state_of(self._model, self._data))
         except SimulationError as error:
             self.close(aborted=f"not replayable at step {self.length}: {error}")
             raise SimulationError(f"step {self.length} cannot be replayed: {error}") from None
-        for change in followed.changes:
-            self._changes.append((self.length, change.substep, change.row))
-        self.set_from_outside += followed.outside
-        row = dict(self._seen)
-        row["action"] = _flat(action).astype(np.float32)
-        row["reward"] = _flat(reward).astype(np.float64)
-        row["ctrl"], row["torque"] = self._data.ctrl.copy(), self._data.actuator_force.copy()
+        try:
+            row, seen = self._row(action, reward, observation=observation, info=info or {})
+        except SpecError as error:
+            self.close(aborted=f"step {self.length}: {error}")
+            raise SpecError(f"step {self.length}: {error}") from None
         row["terminated"] = np.array(bool(terminated))
         row["truncated"] = np.array(bool(truncated) and not terminated)
         row[SUBSTEPS] = np.array(followed.substeps, dtype=np.int32)
-        row |= {f"info_{key}": value for key, value in numbers(info or {}).items()}
-        self._seen = self._present(observation)
-        for name, value in row.items():
-            if value.dtype.kind == "f" and not np.isfinite(value).all():
-                raise SpecError(
-                    f"step {self.length}: {name}: expected numbers, got NaN or infinity"
-                )
+        for change in followed.changes:
+            self._changes.append((self.length, change.substep, change.row))
+        self.set_from_outside += followed.outside
         self._rows.append(row)
+        self._seen = seen
         self.length += 1
         if len(self._rows) == BLOCK or terminated or truncated:
             self._flush()
         if terminated or truncated:
             self.close(aborted="")
 
+    def _row(
+        self, action: Any, reward: Any, *, observation: Any, info: Mapping[str, Any]
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """The values of a step, and those that hold after it.
+
+        Raises:
+            SpecError: for a NaN, or for values of another kind or number than before.
+        """
+        seen = self._present(observation)
+        row = dict(self._seen)
+        row["action"] = _flat(action).astype(np.float32)
+        row["reward"] = _flat(reward).astype(np.float64)
+        row["ctrl"], row["torque"] = self._data.ctrl.copy(), self._data.actuator_force.copy()
+        said = {f"info_{key}": value for key, value in numbers(info).items()}
+        if self._like is None:
+            self._like = {name: (v.dtype, v.shape) for name, v in (row | said).items()}
+        wanted = [name for name in self._like if name.startswith("info_")]
+        if missing := [name for name in wanted if name not in said]:
+            raise SpecError(
+                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} is missing"
+            )
+        row |= {name: said[name].astype(self._like[name][0]) for name in wanted}
+        for values in (row, seen):
+            for name, value in values.items():
+                if value.shape != self._like.get(name, (None, None))[1]:
+                    raise SpecError(
+                        f"{name}: expected {_count(self._like.get(name))} as before, got {value.size}"
+                    )
+                if value.dtype.kind == "f" and not np.isfinite(value).all():
+                    raise SpecError(f"{name}: expected numbers, got NaN or infinity")
+        for name in wanted:
+            if (row[name] != said[name]).any():
+                raise SpecError(
+                    f"{name}: expected {self._like[name][0]} as in the first step, got {said[name]}"
+                )
+        return row, seen
+
     def close(self, aborted: str = "interrupted") -> None:
         """Finish the file; an episode without steps leaves none."""
+        self._closed = True
         if self._watch is not None:
             self._watch.close()
         if self._rows:
@@ -197,11 +240,6 @@ class EpisodeLog:
                 self._path, header, attachments=self._attached, display=True
             )
         names = list(self._rows[0])
-        for row in self._rows:
-            if list(row) != names:
-                raise SpecError(
-                    f"step {self.length}: expected the values {', '.join(names)} as in the first step, got {', '.join(row)}"
-                )
         columns = {name: np.stack([row[name] for row in self._rows]) for name in names}
         inputs = self._messages()
         first = self.length - len(self._rows)
@@ -288,6 +326,11 @@ def _field(name: str, kind: str, size: str, unit: str, when: str) -> Json:
     }
 
 
+def _count(like: tuple[Any, tuple[int, ...]] | None) -> str:
+    size = 0 if like is None else int(np.prod(like[1]))
+    return f"{size} value" + "s" * (size != 1)
+
+
 def _flat(value: Any) -> Array:
     """An observation, action or reward as one row of numbers; parts of a mapping in the order of
     their names.
@@ -310,13 +353,16 @@ def _flat(value: Any) -> Array:
 def numbers(info: Mapping[str, Any]) -> dict[str, Array]:
     """The numbers of an info: scalars and short vectors, by name."""
     found = {}
-    for key, value in info.items():
+    for said, value in info.items():
+        key = re.sub(r"\W", "_", str(said), flags=re.ASCII)  # what a column may be called
+        if not key or key in found:
+            continue
         if isinstance(value, bool | np.bool_):
-            found[str(key)] = np.array(bool(value))
+            found[key] = np.array(bool(value))
         elif isinstance(value, int | float | np.number):
-            found[str(key)] = np.array(float(value))
+            found[key] = np.array(float(value))
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.ndim == 1:
-            found[str(key)] = value.astype(np.float64)
+            found[key] = value.astype(np.float64)
     return found
 
 
@@ -345,6 +391,8 @@ def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
         ConfigError: if it has none.
     """
     inner = getattr(env, "unwrapped", env)
+    if getattr(env, "num_envs", 1) != 1:
+        raise ConfigError(VECTORISED.format(type(inner).__name__))
     for holder in (inner, getattr(inner, "physics", None), getattr(inner, "sim", None)):
         model, data = getattr(holder, "model", None), getattr(holder, "data", None)
         for name in ("ptr", "_model"):
@@ -356,6 +404,23 @@ def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
     raise ConfigError(
         f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` (or `physics`, or `sim`), found neither"
     )
+
+
+def _takes_seed(reset: Callable[..., Any]) -> bool:
+    known = inspect.signature(reset).parameters.values()
+    return any(item.name == "seed" or item.kind is item.VAR_KEYWORD for item in known)
+
+
+def _parts(given: Any, names: tuple[str, ...], verb: str) -> Any:
+    """What `reset` or `step` of an environment gave.
+
+    Raises:
+        SpecError: if it is not as Gymnasium has it.
+    """
+    if not isinstance(given, tuple) or len(given) != len(names):
+        got = f"{len(given)} values" if isinstance(given, tuple) else f"a {type(given).__name__}"
+        raise SpecError(f"{verb}: expected {', '.join(names)} as of Gymnasium, got {got}")
+    return given
 
 
 def _file_of(env: Any) -> Path | None:
@@ -416,7 +481,7 @@ class Recorder:
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Reset the environment, and begin an episode."""
         self._end("reset")
-        observation, info = self._env.reset(**options)
+        observation, info = _parts(self._env.reset(**options), RESET, "reset")
         model, data = simulation_of(self._env)
         self._attached = self._attached or attachments_of(model, self._source)
         name, index = self._name(), len(self.files)
@@ -455,7 +520,10 @@ class Recorder:
         if self._log is None:
             raise SimulationError("step: expected an episode under way; call reset first")
         self._log.mark()
-        observation, reward, terminated, truncated, info = self._env.step(action)
+        given = _parts(self._env.step(action), STEP, "step")
+        observation, reward, terminated, truncated, info = given
+        if np.size(terminated) != 1 or np.size(truncated) != 1:
+            raise SpecError(VECTORISED.format(type(self._env).__name__))
         log = self._log
         log.step(
             action,
@@ -536,7 +604,7 @@ def recording(
         "scene": name,
         "start_time": time.time_ns(),
     }
-    path = Path(out) / f"{name}-000000-{run}.mcap"
+    path = Path(out) / f"{name.replace('/', '_')}-000000-{run}.mcap"
     log = EpisodeLog(
         model,
         data,
@@ -559,6 +627,7 @@ def record_env(
     seed: int = 0,
     about: Json | None = None,
     verify: bool = True,
+    source: Path | str | None = None,
     each: Callable[[Recorder], None] | None = None,
 ) -> Recorder:
     """Run a policy in a Gymnasium environment, and record its episodes.
@@ -568,9 +637,10 @@ def record_env(
         policy: Observation in, action out.
         episodes: How many.
         out: Folder; files already in it stay as they are.
-        seed: Of the first episode; each next one is one more.
+        seed: Of the first episode; each next one is one more. Not for a `reset` that takes none.
         about: What is known of the policy: kind, name, checkpoint_sha256.
         verify: Take each step again while recording.
+        source: The file or the text that its model was compiled from, where it does not say it.
         each: Called after every episode.
 
     Returns:
@@ -581,9 +651,10 @@ def record_env(
         SimulationError: at the first step that cannot be replayed.
         StorageError: if a file cannot be written.
     """
-    with Recorder(env, out, policy=about, verify=verify) as recorder:
+    with Recorder(env, out, policy=about, verify=verify, source=source) as recorder:
+        seeded = _takes_seed(env.reset)
         for index in range(episodes):
-            observation, _ = recorder.reset(seed=seed + index)
+            observation, _ = recorder.reset(**({"seed": seed + index} if seeded else {}))
             over = False
             while not over:
                 result = recorder.step(policy(observation))

@@ -346,7 +346,8 @@ class Recorder:
         None for an episode that a resumed run had finished before it was stopped.
         """
         episode = header.episode
-        stem = f"{episode['scene']}-{episode['split']}-s{episode['seed']}-{episode['index']:06d}-{self.run}"
+        scene = episode["scene"].replace("/", "_").replace("\\", "_")
+        stem = f"{scene}-{episode['split']}-s{episode['seed']}-{episode['index']:06d}-{self.run}"
         attempt = 1
         if self._resumed and (self._folder / f"{stem}.mcap").exists():
             return None

@@ -38,7 +38,7 @@ def read_tables(path: Path) -> dict[str, Any]:
         ConfigError: if the file cannot be read, is no TOML, or has a table that no card has.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot read the robot's card: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -70,6 +70,8 @@ def robot_of(tables: Mapping[str, Any], folder: Path) -> Robot:
         _built(Arm, arm, f"arms[{i}].", ("name", "palm", "joints"))
         for i, arm in enumerate(tables["arms"])
     )
+    if not arms:
+        raise ConfigError("card: expected at least one [[arms]], found none")
     return Robot(
         name=head.name,
         mjcf=folder / head.model,

@@ -6,8 +6,10 @@ from it, for any number of arms. Nothing in the package asks which robot it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from math import isfinite
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +94,44 @@ class Robot:
             raise ConfigError(
                 f"robot '{self.name}': a robot with soles needs the name of its torso body"
             )
+        for where, value in self._numbers():
+            if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
+                raise ConfigError(
+                    f"robot '{self.name}': expected a finite number as {where}, got {value!r}"
+                )
+        if self.reach <= 0:
+            raise ConfigError(f"robot '{self.name}': expected reach above 0 m, got {self.reach:g}")
+        names = [arm.name for arm in self.arms]
+        if len(set(names)) != len(names):
+            raise ConfigError(f"robot '{self.name}': expected arms of different names, got {names}")
+        for joint, (low, high) in self.ranges.items():
+            if low >= high:
+                raise ConfigError(
+                    f"robot '{self.name}': expected ranges['{joint}'] as (low, high), got ({low:g}, {high:g})"
+                )
+        if any(kp <= 0 or kv < 0 for kp, kv in self.servo_gains.values()):
+            raise ConfigError(
+                f"robot '{self.name}': expected servo_gains (kp, kv) with kp > 0 and kv >= 0, got {dict(self.servo_gains)}"
+            )
         if "stand" not in self.poses:
             raise ConfigError(
                 f"robot '{self.name}': expected a start pose called 'stand', got {sorted(self.poses)}"
             )
+
+    def _numbers(self) -> Iterator[tuple[str, Any]]:
+        """Every number of the spec, with where it stands."""
+        for pose, angles in self.poses.items():
+            yield from ((f"poses['{pose}']['{joint}']", angle) for joint, angle in angles.items())
+        yield from ((f"held['{name}']", value) for name, value in self.held.items())
+        for table in ("servo_gains", "ranges"):
+            for name, pair in getattr(self, table).items():
+                if not isinstance(pair, tuple | list) or len(pair) != 2:
+                    raise ConfigError(
+                        f"robot '{self.name}': expected two numbers as {table}['{name}'], got {pair!r}"
+                    )
+                yield from ((f"{table}['{name}']", value) for value in pair)
+        yield from (("centre", value) for value in self.centre)
+        yield "reach", self.reach
 
     @property
     def action_joints(self) -> tuple[str, ...]:

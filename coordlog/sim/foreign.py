@@ -183,6 +183,8 @@ class Shadow:
                 f"time went back from {now[0]:g} s to {end[0]:g} s within an episode: expected an environment that is reset "
                 "by reset() alone"
             )
+        if end[0] == now[0]:
+            raise SimulationError("no physics step was made: expected time to go on")
         at = [row for row in seen if row[0] == now[0]]
         start = now
         if at and (at[-1][self._parts.carried] != now[self._parts.carried]).any():
@@ -223,7 +225,8 @@ class Shadow:
             first = int(np.flatnonzero(where)[0])
             raise SimulationError(
                 f"{1 - share:.0%} of the state after it is not what the physics makes of the state before it (entry {first}: "
-                f"{self.row[first]!r} simulated again, {end[first]!r} there): something else moves this simulation"
+                f"{self.row[first]:.9g} simulated again, {end[first]:.9g} there): something else moves this simulation, or its model "
+                "is not as it was when the recording began"
             )
         changes = [change for change in found.changes if change.substep < found.substeps]
         self._set(end)

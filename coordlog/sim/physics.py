@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
-from mujoco.batch import SimulationError as BatchError
 
 from coordlog.episode import CONTACT, Array
 from coordlog.mjcf import silence
@@ -121,7 +119,12 @@ class Physics:
                 own); None for `model`.
             resting: Pairs of geoms whose contacts are none, because they lie against one another.
         """
+        # Loaded late: with it MuJoCo forgets the model that it compiled last, and with that the text
+        # of an environment that is about to be recorded.
+        from mujoco.batch import Batch, SimulationError
+
         silence()
+        self._refused = SimulationError
         self.model = model
         self._batch = Batch(model, n, threads)
         self._own = models is not None
@@ -214,7 +217,9 @@ class Physics:
         end = self._time[ids] + (substeps - 0.5) * self.model.opt.timestep
         try:
             self._batch.rollout(substeps, control=ctrl, record=tuple(records), ids=ids, out=records)
-        except BatchError as error:  # those simulations kept their state; the others were stepped
+        except (
+            self._refused
+        ) as error:  # those simulations kept their state; the others were stepped
             self._failed[error.ids] = True
         self._failed[ids] |= ~(self._time[ids] > end)  # MuJoCo gave up under way
         self.torque[ids] = records["actuator_force"][:, -1]
@@ -224,7 +229,7 @@ class Physics:
     def _look(self, ids: Array) -> None:
         try:
             self._batch.forward(ids, stage=CURRENT)
-        except BatchError as error:
+        except self._refused as error:
             self._failed[error.ids] = True
         fine = (np.abs(self.qpos[ids]) < DIVERGED).all(axis=1) & (
             np.abs(self.qvel[ids]) < DIVERGED

@@ -21,7 +21,9 @@ SUNK = 0.05
 """A base this much lower than it was put down has fallen [m]."""
 LEANT = 0.2
 """A base turned by this much has fallen, too [rad]."""
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+MOVING = 0.1
+"""A joint this fast does not rest [rad/s, m/s]."""
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 
 class Rest(NamedTuple):
@@ -175,6 +177,17 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
                 f"pose '{pose}' is not held: after {SETTLE_SECONDS:g} s the base is {sunk * 100:.0f} cm lower and has "
                 f"turned by {np.degrees(turned):.0f}°: expected a robot that stands; stiffen its servos or choose another pose"
             ]
+    speed = np.abs(rest.row[1 + model.nq : 1 + model.nq + model.nv])
+    named = set(robot.action_joints)
+    for joint in sorted(palms - set(free.tolist())):
+        name = model.joint(joint).name or f"joint {joint}"
+        first = int(model.jnt_dofadr[joint])
+        last = first + (3 if model.jnt_type[joint] == BALL else 1)
+        if name not in named and (speed[first:last] > MOVING).any():
+            said.append(
+                f"pose '{pose}' is not held: joint '{name}', which carries a palm and is not of the action, still moves after "
+                f"{SETTLE_SECONDS:g} s; give it a servo, or take it out"
+            )
     for name in robot.action_joints:
         at = int(model.joint(name).qposadr[0])
         if abs(qpos[at] - rest.asked[at]) > HELD:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from dataclasses import replace
@@ -11,6 +12,9 @@ from typing import Any
 from coordlog.errors import ConfigError, unknown
 from coordlog.tasks.card import read_card
 from coordlog.tasks.scene import Scene, find
+
+NAMES_FILES = re.compile(r"\bfile(name)?\s*=")
+"""A model in MJCF or URDF that reads files."""
 
 
 def scene_of(name: str) -> Scene:
@@ -34,7 +38,9 @@ def scene_of(name: str) -> Scene:
     if attribute not in scenes:
         raise unknown(f"scene of {file}", attribute, scenes)
     own: Scene = found[attribute]
-    if own.robot.assets is None and "file=" in str(own.robot.mjcf):  # beside the file, as Python
+    if own.robot.assets is None and NAMES_FILES.search(
+        str(own.robot.mjcf)
+    ):  # beside the file, as Python
         own = replace(own, robot=replace(own.robot, assets=Path(file).resolve().parent))
     return own
 

@@ -8,6 +8,7 @@ goals are markers: nothing collides with them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from coordlog.errors import ConfigError, unknown
 from coordlog.robots.humanoid import HUMANOID
@@ -67,6 +68,17 @@ class Scene:
             raise ConfigError(
                 f"scene '{self.name}': an object needs two arms, the left one first, {got}"
             )
+        names = [panel.name for panel in self.panels]
+        if len(set(names)) != len(names):
+            raise ConfigError(
+                f"scene '{self.name}': expected panels of different names, got {names}"
+            )
+        for what in ("object_box", "sphere_box"):
+            for low, high in getattr(self, what) or ():
+                if not -inf < low <= high < inf:
+                    raise ConfigError(
+                        f"scene '{self.name}': expected {what} as (low, high) for x, y and z, got ({low}, {high})"
+                    )
         if self.spheres and self.sphere_box is None:
             raise ConfigError(
                 f"scene '{self.name}': spheres need a sphere_box to be drawn in, got none"

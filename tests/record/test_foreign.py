@@ -216,3 +216,89 @@ def test_an_environment_of_gymnasiums(tmp_path):
     assert check_replay(recorder.files).findings == []
     assert recorder.set_from_outside == 0
     assert read_episode(recorder.files[0]).state.shape == (11, 10)
+
+
+class Odd(Env):
+    """A swing that gives something else at its fifth step."""
+
+    def __init__(self, what, value):
+        super().__init__()
+        self.what, self.value = what, value
+
+    def step(self, action):
+        given = dict(
+            zip(("seen", "reward", "over", "cut", "info"), super().step(action), strict=True)
+        )
+        if self.count == 5:
+            given[self.what] = self.value
+        return tuple(given.values())
+
+
+@pytest.mark.parametrize(
+    ("what", "value", "said"),
+    [
+        ("seen", np.full(4, np.nan), "step 4: state: expected numbers, got NaN"),
+        ("seen", np.zeros(3), "step 4: state: expected 4 values as before, got 3"),
+        ("reward", np.nan, "step 4: reward: expected numbers, got NaN"),
+        ("cut", np.zeros(2, dtype=bool), "several environments in one"),
+    ],
+)
+def test_an_odd_step_is_refused_and_what_came_before_it_replays(what, value, said, tmp_path):
+    with pytest.raises(SpecError, match=said):
+        record_env(Odd(what, value), policy, episodes=1, out=tmp_path)
+    replays = check_replay(list(tmp_path.glob("*.mcap")))
+    assert replays.steps == 4
+    assert not replays.findings
+
+
+def test_numbers_that_come_later_in_an_info_are_left_out(tmp_path):
+    env = Odd("info", {"height": 0.0, "is success/now": True, "": 1.0})
+    record_env(env, policy, episodes=1, out=tmp_path)
+    (file,) = tmp_path.glob("*.mcap")
+    assert len(read_episode(file)) == 12
+
+
+def test_from_python_a_policy_may_be_an_object_and_options_are_known(tmp_path):
+    class Still:
+        def act(self, observation):
+            return np.zeros(2)
+
+    import coordlog
+
+    assert len(coordlog.record(Env(), Still(), episodes=2, out=tmp_path, source=TEXT)) == 2
+    with pytest.raises(ConfigError, match="unknown option of an environment 'start'"):
+        coordlog.record(Env(), Still(), out=tmp_path, start="stand")
+
+
+def test_an_episode_that_has_ended_takes_no_more_steps(tmp_path):
+    env = Env()
+    env.reset()
+    with recording(env.model, env.data, tmp_path, source=TEXT) as log:
+        env.step(np.zeros(2))
+        log.step(np.zeros(2), truncated=True)
+        with pytest.raises(SimulationError, match="has ended"):
+            log.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("WIDE", "with the policy .*WIDE: ValueError: Action dimension"),
+        ("NEEDS", "the class cannot be made without arguments"),
+        ("", "write FILE.py:NAME"),
+    ],
+)
+def test_a_policy_of_the_users_that_fails_is_said_to_be_theirs(name, said, tmp_path):
+    pytest.importorskip("gymnasium")
+    from coordlog.commands.foreign import record_environment
+
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "WIDE = lambda o: [0.0] * 7\nclass NEEDS:\n    def __init__(self, a): pass\n",
+        encoding="utf-8",
+    )
+    chosen = f"{file}:{name}" if name else str(file)
+    with pytest.raises(ConfigError, match=said):
+        record_environment(
+            "Reacher-v5", chosen, episodes=1, seed=0, out=tmp_path / "out", as_json=False
+        )

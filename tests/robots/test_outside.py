@@ -16,6 +16,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.examine import examine
 from coordlog.sim.replay import Log, replay
 from coordlog.tasks.config import EnvConfig
+from coordlog.tasks.scene import Panel
 from tests.robots.outside import robot, scene, text
 
 ONE = np.zeros(1, dtype=int)
@@ -335,3 +336,115 @@ def test_draws_go_on_while_some_are_feasible_and_say_why_others_are_not():
         SimulationError, match=r"no feasible problem in 200 draws .*out of reach \(200 of 200\)"
     ):
         env.problem(seed=0, split="train", index=0)
+
+
+@pytest.mark.parametrize("name", ["", 'name="my table"'])
+def test_a_geom_of_the_world_needs_no_name_and_may_have_blanks_in_it(name):
+    world = f'<geom {name} type="box" size="0.1 0.1 0.02" pos="0 0 0.2"/>'
+    pair = '<contact><pair geom1="my table" geom2="fore"/></contact>' if name else ""
+    model = started(scene(world=world, more=pair)).task.model
+    assert model.tuple_size.tolist() == [1]
+    assert model.npair == bool(name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"servo": '<position joint="b"/><position joint="b"/>'}, "'b' has 2 position servos"),
+        ({"option": '<flag contact="disable"/>'}, "switches contacts off"),
+        ({"option": '<flag sleep="enable"/>'}, "lets bodies sleep"),
+        ({"free": '<joint name="z" type="slide" axis="0 0 1"/>'}, "joint 'z', which carries a"),
+        ({"b": 'range="nan 1"'}, 'range="nan 1": expected numbers'),
+        ({"held": {"grip": 1.0}}, "held names the actuator 'grip'"),
+        ({"servo_gains": {"c": (1.0, 1.0)}}, "servo_gains names the joint 'c'"),
+        ({"ranges": {"c": (0.0, 1.0)}}, "ranges names the joint 'c'"),
+    ],
+)
+def test_what_would_go_wrong_without_a_word_is_said(changes, said):
+    assert said in faulty(scene(**changes))
+
+
+def test_a_timestep_of_nothing_is_refused():
+    with pytest.raises(ConfigError, match="timestep 0 s"):
+        compose(replace(scene(), robot=robot(text().replace("0.004", "0"))), EnvConfig())
+
+
+@pytest.mark.parametrize(
+    "changes", [{"pose": (float("nan"), 0.0)}, {"pose": ("a", 0.0)}, {"servo_gains": {"b": (0, 1)}}]
+)
+def test_a_spec_has_numbers_that_mean_something(changes):
+    with pytest.raises(ConfigError, match="expected"):
+        robot(**changes)
+
+
+def test_sensors_that_a_model_switches_off_are_read_nevertheless():
+    env = started(scene(option='<flag sensor="disable"/>'))
+    assert env.task.palms(env.physics.sensors).any()
+
+
+def test_a_gripper_whose_control_is_a_speed_is_left_still():
+    servo = '<position joint="b"/><intvelocity name="f" joint="f" kp="5" actrange="-1 1"/>'
+    world = (
+        '<body pos="0 1 0"><joint name="f" axis="0 0 1"/><geom type="sphere" size="0.01"/></body>'
+    )
+    env = started(scene(servo=servo, world=world))
+    held = env.physics.qpos[0, [env.task.model.joint("f").qposadr[0]]]
+    assert held == pytest.approx([0.0], abs=1e-6)
+
+
+def test_a_name_with_a_slash_is_no_folder(tmp_path):
+    import coordlog
+
+    where = replace(scene(), name="mine/first")
+    (file,) = coordlog.record(where, "still", episodes=1, out=tmp_path)
+    assert file.parent == tmp_path
+    assert file.name.startswith("mine_first-")
+    assert coordlog.open(file)[0].header.episode["scene"] == "mine/first"
+
+
+CARD = """
+[robot]
+name = "r"
+model = "arm.xml"
+centre = [0.2, 0, 0.5]
+reach = 0.6
+[[arms]]
+name = "arm"
+palm = "tip"
+joints = ["a", "b"]
+[poses.stand]
+a = 0.4
+"""
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "said"),
+    [
+        ("reach = 0.6", "reach = 0", "expected reach above 0 m"),
+        ("[0.2, 0, 0.5]", "[0.2, 0]", "robot.centre: expected another number of values"),
+        ('joints = ["a", "b"]', "joints = []", "arm 'arm' has no joints"),
+        ("[[arms]]", "[ranges]\nb = [1.0, 0.0]\n[[arms]]", "expected ranges\\['b'\\] as"),
+        ("[poses", '[[arms]]\nname = "arm"\npalm = "tip"\njoints = []\n[poses', "different names"),
+    ],
+)
+def test_a_card_that_cannot_be_meant_is_refused(here, there, said, tmp_path):
+    from coordlog.tasks.own import scene_of
+
+    (tmp_path / "arm.xml").write_text(text())
+    card = tmp_path / "card.toml"
+    card.write_text(CARD.replace(here, there), encoding="utf-8-sig")
+    with pytest.raises(ConfigError, match=said):
+        compose(scene_of(str(card)), EnvConfig())
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"panels": (Panel("p", (2, 0, 0), (1, 1, 1)),) * 2}, "panels of different names"),
+        ({"spheres": 1, "sphere_box": ((1, 0), (0, 1), (0, 1))}, "sphere_box as .low, high."),
+        ({"spheres": 1, "sphere_box": ((float("nan"), 0),) * 3}, "sphere_box as .low, high."),
+    ],
+)
+def test_a_scene_that_cannot_be_meant_is_refused(changes, said):
+    with pytest.raises(ConfigError, match=said):
+        replace(scene(), **changes)

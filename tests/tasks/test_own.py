@@ -26,12 +26,12 @@ def test_a_scene_of_a_file_is_the_object_of_that_name(tmp_path: Path) -> None:
     assert scene.robot == SCENES["planar"].robot
 
 
-def test_files_of_a_robot_lie_beside_the_file_of_its_scene(tmp_path: Path) -> None:
-    meshes = OWN.replace('name="plain")', 'name="plain", robot=ROBOT)').replace(
-        "\nPLAIN", '\nROBOT = replace(find("planar").robot, mjcf=\'<mesh file="a.stl"/>\')\nPLAIN'
+@pytest.mark.parametrize("said", ['file="m.stl"', "file = 'm.stl'", 'filename="package://m.stl"'])
+def test_files_of_a_scenes_robot_lie_beside_it(said: str, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        OWN + f"robot = replace(PLAIN.robot, mjcf={said!r})\nMESH = replace(PLAIN, robot=robot)\n"
     )
-    (tmp_path / "own.py").write_text(meshes)
-    assert scene_of(f"{tmp_path}/own.py:PLAIN").robot.assets == tmp_path.resolve()
+    assert scene_of(f"{tmp_path}/own.py:MESH").robot.assets == tmp_path.resolve()
 
 
 def test_a_scene_that_ships_is_found_by_its_name() -> None:

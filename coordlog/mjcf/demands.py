@@ -1,0 +1,61 @@
+"""What a robot's spec and a model ask for that cannot be had, one sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from coordlog.robots.robot import Robot
+
+CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def unknown_names(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
+    """Joints and actuators that the robot's tables name and its model does not have."""
+    joints = {joint.name for joint in spec.joints}
+    actuators = {act.name or f"actuator {i}" for i, act in enumerate(spec.actuators)}
+    said = [
+        f"arm '{arm.name}' has no joints: expected those that move its palm"
+        for arm in robot.arms
+        if not arm.joints and not robot.shared
+    ]
+    for table, names, kind, known in (
+        ("servo_gains", robot.servo_gains, "joint", joints | {"*"}),
+        ("ranges", robot.ranges, "joint", joints),
+        ("held", robot.held, "actuator", actuators),
+    ):
+        said += [
+            f"{table} names the {kind} '{name}', but its model has {some(known - {'*'})}"
+            for name in names
+            if name not in known
+        ]
+    return said
+
+
+def switched(spec: mujoco.MjSpec) -> list[str]:
+    """Flags under which nothing could be told or replayed; sensors are switched on again, which
+    moves nothing.
+    """
+    spec.option.disableflags &= ~SENSOR
+    said = []
+    if spec.option.disableflags & CONTACT:
+        said.append(
+            'its model switches contacts off (<flag contact="disable"/>), so no collision could be seen: take that out'
+        )
+    if spec.option.enableflags & SLEEP:
+        said.append(
+            'its model lets bodies sleep (<flag sleep="enable"/>), which is no part of a state that a log could hold: '
+            "take that out"
+        )
+    if not spec.option.timestep > 0:
+        said.append(f"its model has the timestep {spec.option.timestep:g} s: expected more than 0")
+    return said
+
+
+def some(names: Iterable[object]) -> str:
+    """The first of some names, sorted; "none" if there are none."""
+    found = sorted(str(name) for name in names if name)
+    return (", ".join(found[:12]) + (" …" if len(found) > 12 else "")) or "none"
