@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "coordlog"
 FLOORS = (
     {"version", "verbs"},
     {"errors"},
-    {"strangers"},
+    {"strangers", "conditions"},
     {"modest"},
     {"spec"},
     {"episode", "path"},

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from coordlog.catalog.rows import COLUMNS, KEPT
+from coordlog.conditions import require_condition
 from coordlog.errors import ConfigError, CoordlogError
 from coordlog.parallel import batches
 from coordlog.record.dataset import open as open_logs
@@ -120,10 +121,15 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
         sound = "where error is null and gone is null" if "error" in names else ""
         selects.append(f"select {', '.join(columns)} from {text} {sound}")
     whole = " union all ".join(selects)
-    condition = f"where {where}" if where else ""
+    condition = f"where ({where}\n)" if where else ""
     text = f"select * from ({whole}) {condition}"
     if where:
-        _require_select(connection, text)
+        try:
+            require_condition(connection, where)
+        except ValueError as error:
+            raise ConfigError(
+                f"--where: expected an SQL condition; {str(error).splitlines()[0]}"
+            ) from None
     connection.execute(
         f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
     )

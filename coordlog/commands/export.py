@@ -147,16 +147,22 @@ def _matching(found: list[Entry], where: str) -> list[Entry]:
         raise ConfigError("--where needs duckdb: pip install 'coordlog[exchange]'") from error
     import pyarrow as pa
 
+    from coordlog.commands.logs import CLOSED
+    from coordlog.conditions import require_condition
+
     rows = pa.Table.from_pylist([{**entry.row, "row": i} for i, entry in enumerate(found)])
-    connection = duckdb.connect(config={"enable_external_access": "false"})
-    connection.register("episodes", rows)
-    try:
-        kept = connection.execute(f"select row from episodes where {where} order by row").fetchall()
-    except duckdb.Error as error:
-        names = ", ".join(found[0].row)
-        raise ConfigError(
-            f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-        ) from error
+    with duckdb.connect(config=CLOSED) as connection:
+        connection.register("episodes", rows)
+        try:
+            require_condition(connection, where)
+            kept = connection.execute(
+                f"select row from episodes where ({where}\n) order by row"
+            ).fetchall()
+        except (duckdb.Error, ValueError) as error:
+            names = ", ".join(found[0].row)
+            raise ConfigError(
+                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
+            ) from error
     if not kept:
         raise ConfigError(f"--where: no episode of {len(found)} satisfies: {where}")
     return [found[row] for (row,) in kept]

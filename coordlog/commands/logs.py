@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from coordlog.commands import terminal
 from coordlog.errors import ConfigError, FormatError, SpecError
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
-
     from coordlog.record.cache import Built, Logs
 
 
@@ -77,8 +74,22 @@ def load_logs(
         raise SpecError(
             f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\""
         )
+    _require_task(chosen)
     _require_alike(chosen)
     return chosen
+
+
+def _require_task(logs: Logs) -> None:
+    """Refuse episodes that no task of ours judged, by what their steps lack."""
+    if {"distance", "collision", "instability"} <= {*logs.steps.column_names}:
+        return
+    env, file = logs.env(0), logs.episodes.column("file")[0].as_py()
+    name = env.get("task", {}).get("name", "")
+    got = f"steps of a task '{name}' without them" if name else "an observed one, which has none"
+    raise SpecError(
+        f"{file}: expected an episode with distances to goals, collisions and falls, got {got}; "
+        "other learners take it after `coordlog export`"
+    )
 
 
 def matching(logs: Logs, where: str) -> list[int]:
@@ -89,12 +100,14 @@ def matching(logs: Logs, where: str) -> list[int]:
     """
     import duckdb
 
+    from coordlog.conditions import require_condition
+
     columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
     episodes = logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
     with duckdb.connect(config=CLOSED) as connection:
         connection.register("episodes", episodes)
         try:
-            _require_condition(connection, where)
+            require_condition(connection, where)
             rows = connection.execute(
                 f"select row from episodes where ({where}\n) order by row"
             ).fetchall()
@@ -104,65 +117,6 @@ def matching(logs: Logs, where: str) -> list[int]:
                 f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
             ) from error
     return [row for (row,) in rows]
-
-
-def _require_condition(connection: DuckDBPyConnection, where: str) -> None:
-    """Hold a text to one expression that looks at one episode at a time.
-
-    It is judged by the tree that the database's own parser makes of it, so there is nothing that
-    the two could read differently.
-
-    Raises:
-        ValueError: saying what it is instead.
-    """
-    statements = connection.extract_statements(f"select row from episodes where ({where}\n)")
-    if len(statements) != 1:
-        raise ValueError(f"one condition, got {len(statements)} statements")
-    wanted = _tree(connection, "select row from episodes where (true)")
-    node = _tree(connection, f"select row from episodes where ({where}\n)")
-    _tree(connection, f"select [{where}\n]")  # what closes our bracket closes but one of the two
-    condition = node.pop("where_clause", None)
-    wanted.pop("where_clause")
-    if _without_places(node) != _without_places(wanted) or condition is None:
-        raise ValueError("one condition, got more than a condition")
-    for part in _parts(condition):
-        if part.get("class") == "SUBQUERY":
-            raise ValueError("a condition on single episodes, got a query within it")
-        if part.get("class") == "WINDOW":
-            raise ValueError("a condition on single episodes, got a window over several")
-
-
-def _tree(connection: DuckDBPyConnection, query: str) -> dict[str, Any]:
-    """A query as the database's parser sees it.
-
-    Raises:
-        ValueError: if it is none.
-    """
-    row = connection.execute("select json_serialize_sql(?::varchar)", [query]).fetchone()
-    parsed: Any = json.loads(row[0]) if row else {"error": True}
-    if parsed.get("error"):
-        raise ValueError(str(parsed.get("error_message", "it cannot be parsed")))
-    (statement,) = parsed["statements"]
-    return dict(statement["node"])
-
-
-def _parts(tree: object) -> Iterator[dict[str, Any]]:
-    """All nodes of a parsed expression."""
-    if isinstance(tree, dict):
-        yield tree
-        tree = list(tree.values())
-    if isinstance(tree, list):
-        for each in tree:
-            yield from _parts(each)
-
-
-def _without_places(tree: object) -> object:
-    """A parsed statement without where its parts stood in the text."""
-    if isinstance(tree, dict):
-        return {
-            key: _without_places(value) for key, value in tree.items() if key != "query_location"
-        }
-    return [_without_places(each) for each in tree] if isinstance(tree, list) else tree
 
 
 def _require_alike(logs: Logs) -> None:

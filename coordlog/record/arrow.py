@@ -31,6 +31,8 @@ def arrow_array(values: Array, kind: pa.DataType) -> pa.Array:
     """An (n,) or (n, width) array as an Arrow array over the same memory."""
     if not pa.types.is_fixed_size_list(kind):
         return pa.array(values, kind)
+    if kind.list_size == 0:  # Arrow divides by the width: the process would die
+        return pa.array([[]] * len(values), kind)
     return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind.value_type), type=kind)
 
 

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from coordlog.errors import ConfigError, CoordlogError, StorageError
+from coordlog.errors import ConfigError, CoordlogError, SpecError, StorageError
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
@@ -161,6 +161,7 @@ def smooth_file(job: Job) -> Json:
 def _smoothed(job: Job) -> tuple[Json, bool]:
     """Parameters of the lineage, and whether the output was there already."""
     from coordlog.record.recording import Recording
+    from coordlog.sim.foreign import TASK
     from coordlog.smooth.kinematic import smooth_observed
     from coordlog.smooth.recorded import smooth_episode
 
@@ -174,6 +175,11 @@ def _smoothed(job: Job) -> tuple[Json, bool]:
             f"({recording.result.aborted}); nothing to smooth"
         )
     observed = recording.header.kind == "observed"
+    if not observed and recording.header.task == TASK:
+        raise SpecError(
+            f"{job.source}: expected a joint path that position servos followed, got steps of "
+            "another program's environment; `view`, `plot` and `export` take it"
+        )
     transform = smooth_observed if observed else smooth_episode
     smoothed, parameters = transform(recording, job.settings)
     if job.write:

@@ -20,9 +20,17 @@ KINDS: dict[str, Colour] = {
     "not reached": (120, 130, 200, 255),
     "fell": BAD,
     "aborted": EXECUTED,
+    "without goals": (150, 150, 150, 255),
 }
 """How an episode can end, and its colour in every panel."""
-URGENT = ("aborted", "fell", "not reached", "success with collision", "clean success")
+URGENT = (
+    "aborted",
+    "fell",
+    "not reached",
+    "success with collision",
+    "clean success",
+    "without goals",
+)
 """The same, those that ask most to be looked at first."""
 TOP = 12
 """Episodes named in the summary."""
@@ -55,11 +63,16 @@ class Outcome:
     def of(cls, show: Show) -> Outcome:
         """Take what is needed out of an episode.
 
-        Palms come from its policy state, so no model is compiled.
+        Palms come from its policy state, so no model is compiled. An observed episode, or one of
+        another program's environment, has neither palms nor goals.
         """
         episode, header = show.episode, show.episode.header
-        palms = StateView.from_json(header.env).physical(episode.state, "palms")
-        k = len(header.arms)
+        arms, goals = header.arms, np.array(header.episode["goals"])
+        if episode.has("distance"):
+            palms = StateView.from_json(header.env).physical(episode.state, "palms")
+        else:
+            arms, goals, palms = (), np.zeros((0, 3)), np.zeros((len(episode) + 1, 0))
+        k = len(arms)
         return cls(
             name=show.name,
             file=show.file or show.name,
@@ -70,18 +83,18 @@ class Outcome:
             kind=kind(episode),
             steps=len(episode),
             seconds=float(episode.time[-1]),
-            collisions=int(episode.collision.sum()),
-            arms=header.arms,
+            collisions=int(episode.collision.sum()) if episode.has("collision") else 0,
+            arms=arms,
             returns=episode.reward.sum(axis=0),
-            final=episode.distance[-1] if len(episode) else np.full(k, np.nan),
+            final=episode.distance[-1] if k and len(episode) else np.full(k, np.nan),
             palms=palms.reshape(len(palms), k, 3).astype(np.float32),
-            goals=np.array(header.episode["goals"]),
+            goals=goals,
         )
 
     @property
     def worst(self) -> float:
         """Final distance of the arm that is farther off [m]."""
-        return float(self.final.max())
+        return float(self.final.max()) if len(self.final) else float("nan")
 
     @property
     def urgency(self) -> tuple[float, ...]:
@@ -100,6 +113,8 @@ class Outcome:
     @property
     def why(self) -> str:
         """What makes it worth a look, in a few words."""
+        if self.kind == "without goals":
+            return self.verdict
         touched = f"{self.collisions} steps of collision"
         if self.kind == "success with collision":
             return touched
@@ -115,6 +130,8 @@ def kind(episode: Episode) -> str:
     """Which of KINDS an episode is."""
     if episode.result.aborted:
         return "aborted"
+    if not episode.has("distance"):
+        return "without goals"
     if episode.result.clean:
         return "clean success"
     if episode.instability.any():
@@ -132,10 +149,10 @@ def about_one(outcome: Outcome) -> str:
         "",
         command,
         "",
-        "| arm | final distance | return |",
-        "|---|---|---|",
     ]
-    for arm, final, returned in zip(outcome.arms, outcome.final, outcome.returns, strict=True):
+    if outcome.arms:
+        lines += ["| arm | final distance | return |", "|---|---|---|"]
+    for arm, final, returned in zip(outcome.arms, outcome.final, outcome.returns, strict=False):
         lines.append(f"| {plain(arm)} | {final * 100:.1f} cm | {returned:.1f} |")
     return "\n".join([*lines, "", f"{outcome.steps} steps, policy {plain(outcome.policy)}"])
 

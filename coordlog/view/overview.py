@@ -67,7 +67,7 @@ def to_overview(shows: Iterable[Show]) -> rr.RecordingStream:
         text=[about_one(outcome) for outcome in outcomes], media_type=[MARKDOWN] * len(outcomes)
     )
     stream.send_columns("/episode", [_numbers(outcomes)], texts)
-    seen = [outcome.palms.reshape(-1, 3) for outcome in outcomes]
+    seen = [np.zeros((1, 3)), *(outcome.palms.reshape(-1, 3) for outcome in outcomes)]
     if stage is not None:  # with room around the joints' middles, or the head would be cut off
         robot = stage.motion.position[0, [geom.index for geom in stage.geometry.of_place("robot")]]
         seen += [robot - AROUND, robot + AROUND]
@@ -82,6 +82,8 @@ def draw_paths(stream: rr.RecordingStream, outcomes: Sequence[Outcome]) -> None:
         paths = [outcome.palms[:, i] for i in range(len(outcome.arms))]
         groups.setdefault((outcome.scene, outcome.kind), []).extend(paths)
     for (scene, kind), paths in groups.items():
+        if not paths:
+            continue
         entity = "/".join(
             ["/world/paths", rr.escape_entity_path_part(scene), rr.escape_entity_path_part(kind)]
         )

@@ -16,6 +16,8 @@ def verdict(episode: Episode) -> str:
         return f"ABORTED after {seconds:.2f} s: {plain(result.aborted)}"
     if episode.header.kind == "observed":
         return f"observed for {seconds:.2f} s"
+    if not episode.has("distance"):  # another program's environment: no goals of ours
+        return f"ended after {seconds:.2f} s"
     if result.clean:
         return f"clean success after {seconds:.2f} s"
     if result.success:

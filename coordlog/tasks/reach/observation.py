@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from coordlog.episode import Array
+from coordlog.errors import SpecError
 from coordlog.robots.robot import Robot
 from coordlog.tasks.config import EnvConfig
 
@@ -65,7 +66,16 @@ class StateView:
 
     @classmethod
     def from_json(cls, env: Mapping[str, Any]) -> StateView:
-        """The view a log carries in its `coordlog.env` record."""
+        """The view a log carries in its `coordlog.env` record.
+
+        Raises:
+            SpecError: if it says nothing of the state's parts.
+        """
+        if "state_places" not in env:
+            raise SpecError(
+                "state: expected the places of its parts (state_places), got none: "
+                "no task of coordlog's made this episode"
+            )
         places = {name: slice(start, stop) for name, (start, stop) in env["state_places"].items()}
         return cls(
             tuple(env["state"]), np.array(env["state_offset"]), np.array(env["state_scale"]), places

@@ -1,0 +1,69 @@
+"""What somebody types after --where: held to one SQL condition that looks at one row at a time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
+
+def require_condition(connection: DuckDBPyConnection, where: str) -> None:
+    """Hold a text to one expression that looks at one episode at a time.
+
+    It is judged by the tree that the database's own parser makes of it, so there is nothing that
+    the two could read differently.
+
+    Raises:
+        ValueError: saying what it is instead.
+    """
+    statements = connection.extract_statements(f"select row from episodes where ({where}\n)")
+    if len(statements) != 1:
+        raise ValueError(f"one condition, got {len(statements)} statements")
+    wanted = _tree(connection, "select row from episodes where (true)")
+    node = _tree(connection, f"select row from episodes where ({where}\n)")
+    _tree(connection, f"select [{where}\n]")  # what closes our bracket closes but one of the two
+    condition = node.pop("where_clause", None)
+    wanted.pop("where_clause")
+    if _without_places(node) != _without_places(wanted) or condition is None:
+        raise ValueError("one condition, got more than a condition")
+    for part in _parts(condition):
+        if part.get("class") == "SUBQUERY":
+            raise ValueError("a condition on single episodes, got a query within it")
+        if part.get("class") == "WINDOW":
+            raise ValueError("a condition on single episodes, got a window over several")
+
+
+def _tree(connection: DuckDBPyConnection, query: str) -> dict[str, Any]:
+    """A query as the database's parser sees it.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    row = connection.execute("select json_serialize_sql(?::varchar)", [query]).fetchone()
+    parsed: Any = json.loads(row[0]) if row else {"error": True}
+    if parsed.get("error"):
+        raise ValueError(str(parsed.get("error_message", "it cannot be parsed")))
+    (statement,) = parsed["statements"]
+    return dict(statement["node"])
+
+
+def _parts(tree: object) -> Iterator[dict[str, Any]]:
+    """All nodes of a parsed expression."""
+    if isinstance(tree, dict):
+        yield tree
+        tree = list(tree.values())
+    if isinstance(tree, list):
+        for each in tree:
+            yield from _parts(each)
+
+
+def _without_places(tree: object) -> object:
+    """A parsed statement without where its parts stood in the text."""
+    if isinstance(tree, dict):
+        return {
+            key: _without_places(value) for key, value in tree.items() if key != "query_location"
+        }
+    return [_without_places(each) for each in tree] if isinstance(tree, list) else tree
