@@ -65,7 +65,7 @@ class Header:
     when; since version 2), reward (constants), config (environment constants), robot (its spec
     without the model text), joints, actuators, geoms (names by id), arms ({name: [action indices]},
     shared ones in each), action_joints (names), state (names of the n_x entries), state_places
-    ({part: [first, last + 1]}), state_offset and state_scale (state = (physical - offset) * scale,
+    ({part: [first, last + 1]}), state_offset and state_scale (state = (physical - offset) / scale,
     n_x each), layout (n_q, n_v, n_x, n_u, k, n_c)"""
     policy: Json
     """kind, name, checkpoint_sha256 or "", noise (constants of the exploration noise, {}
@@ -259,6 +259,31 @@ class Episode:
             "inputs": MappingProxyType(dict(inputs or {})),
         }.items():
             object.__setattr__(self, name, value)
+
+    def physical(self, part: str) -> Array:
+        """One part of the policy's state in SI units, world frame, (T + 1, width) float64.
+
+        Files log `state` as the policy saw it, (physical - offset) / scale; the header's env record
+        says where each part lies (`state_places`) and how it was scaled.
+
+        Raises:
+            SpecError: for an unknown part, or an episode whose header does not say how its state
+                was made; the message lists the parts there are.
+
+        Example:
+            >>> episode.physical("goals")[0]      # doctest: +SKIP
+            array([0.29, 0.11, 0.5, 0.29, -0.01, 0.5])
+        """
+        env = self.header.env
+        places: Json = env.get("state_places", {})
+        if part not in places:
+            has = ", ".join(places) or "none: its header does not say how its state was made"
+            raise SpecError(f"physical: expected a part of the state ({has}), got '{part}'")
+        first, end = places[part]
+        offset, scale = (
+            np.asarray(env[name][first:end]) for name in ("state_offset", "state_scale")
+        )
+        return np.asarray(self.state[:, first:end].astype(np.float64) * scale + offset)
 
     def __len__(self) -> int:
         """Number of steps T."""
