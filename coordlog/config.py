@@ -75,25 +75,36 @@ def plain(config: Any) -> dict[str, Any]:
     }
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a configuration file.
+def load_toml(path: Path, what: str) -> dict[str, Any]:
+    """What a TOML file holds; `what` the file is stands in the messages.
 
     Raises:
-        ConfigError: if the file cannot be read or is no TOML.
+        ConfigError: if the file cannot be read, is no file, is very large or is no TOML.
     """
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path}: expected a file with the {what}, got a folder, pipe or device")
     try:
         with path.open("rb") as stream:
             data = stream.read(MOST + 1)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
+        raise ConfigError(f"{path}: cannot read the {what}: {error.strerror}") from error
     if len(data) > MOST:
-        raise ConfigError(f"{path}: expected a configuration of at most {MOST:,} bytes, got more")
+        raise ConfigError(f"{path}: expected a {what} of at most {MOST:,} bytes, got more")
     try:
-        tables = tomllib.loads(data.decode("utf-8-sig"))
+        return tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:
         raise ConfigError(f"{path}: expected TOML, got one that is too deep") from None
     except ValueError as error:
         raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a configuration file.
+
+    Raises:
+        ConfigError: as `load_toml`, or if something in it is no table.
+    """
+    tables = load_toml(path, "configuration")
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise ConfigError(f"{path}: '{name}': expected a table [{name}], got {str(table)[:40]}")

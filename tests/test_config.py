@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Literal
 
 import pytest
 
-from coordlog.config import build, change, parse_assignment, plain
+from coordlog.config import build, change, load_toml, parse_assignment, plain
 from coordlog.errors import ConfigError
 
 
@@ -78,3 +79,9 @@ def test_an_assignment_is_read_as_toml_or_text(text, found):
 def test_another_form_is_refused(text):
     with pytest.raises(ConfigError, match=r"--set: expected section\.key=value"):
         parse_assignment(text)
+
+
+def test_a_pipe_is_no_file_of_settings_and_nobody_waits_for_it(tmp_path):
+    os.mkfifo(tmp_path / "a.toml")
+    with pytest.raises(ConfigError, match="expected a file with the robot's card, got a folder"):
+        load_toml(tmp_path / "a.toml", "robot's card")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from coordlog.config import load_toml
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.motion import Motion
@@ -54,12 +54,7 @@ def read_map(path: Path) -> JointMap:
     Raises:
         ConfigError: if it is no such file.
     """
-    try:
-        tables = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read the joint map: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+    tables = load_toml(path, "joint map")
     kinds: dict[str, tuple[type, ...]] = {
         "joints": (str,),
         "scale": (int, float),

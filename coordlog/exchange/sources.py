@@ -71,6 +71,8 @@ def kind_of(path: Path) -> str:
         raise FormatError(
             f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) or data/metadata.json (Minari), got none of them"
         )
+    if not path.is_file():
+        raise FormatError(f"{path}: expected a file or a folder, got a pipe, a socket or a device")
     suffixes = {
         ".db3": "rosbag2",
         ".hdf5": "robomimic",

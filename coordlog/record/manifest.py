@@ -176,6 +176,8 @@ def read(path: str | os.PathLike[str]) -> Manifest:
         ConfigError: if there is no such part.
     """
     file, part = split_name(path)
+    if file.exists() and not file.is_file():
+        raise FormatError(f"{file}: expected a manifest, got a folder, pipe or device")
     with translated(file, "read the manifest"):
         data = file.read_bytes()
     try:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coordlog.config import build
+from coordlog.config import build, load_toml
 from coordlog.errors import ConfigError, unknown
 from coordlog.robots.robot import Arm, Robot
 
@@ -37,12 +36,7 @@ def read_tables(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: if the file cannot be read, is no TOML, or has a table that no card has.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read the robot's card: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: expected a robot's card in TOML, got: {error}") from error
+    tables = load_toml(path, "robot's card")
     for name in tables:
         if name not in TABLES:
             raise unknown(f"table in the card {path}", name, TABLES)

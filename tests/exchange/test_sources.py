@@ -1,6 +1,7 @@
 """Other programs' files, written by their own libraries, give the motion that was put in."""
 
 import json
+import os
 import struct
 
 import h5py
@@ -353,3 +354,10 @@ def test_the_digest_of_a_folder_is_of_names_and_contents(tmp_path):
     assert digest_of(tmp_path / "a") == digest_of(tmp_path / "b")
     (tmp_path / "b" / "inner" / "x").rename(tmp_path / "b" / "inner" / "y")
     assert digest_of(tmp_path / "a") != digest_of(tmp_path / "b")
+
+
+@pytest.mark.parametrize("name", ["pipe.csv", "pipe.mcap", "pipe.parquet", "pipe.h5"])
+def test_a_pipe_is_no_source_and_nobody_waits_for_it(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(FormatError, match="got a pipe"):
+        kind_of(tmp_path / name)
