@@ -135,11 +135,15 @@ def select(
     return Manifest(name=stem, chosen=tuple(sorted(chosen.values())), about=about)
 
 
+FIRST = "path, part desc nulls last, label desc nulls last"
+"""Of an episode that several sources name, what a manifest said of it comes first."""
+
+
 def _statement(unique: str, split: Split | None) -> str:
     names = {"digest", "size", "mtime", "path", *EXTRA} | ({split.by} if split else set())
     columns = ", ".join(f'"{name}"' for name in sorted(names))
     if not unique:
-        return f"select {columns} from episodes order by path"
+        return f"select {columns} from episodes order by {FIRST}"
     keys = [key.strip() for key in unique.split(",")]
     for key in keys:
         if key not in COLUMNS.names:
@@ -147,7 +151,7 @@ def _statement(unique: str, split: Split | None) -> str:
     group = ", ".join(f'"{key}"' for key in keys)
     return (
         f"select {columns} from episodes qualify row_number() over"
-        f" (partition by {group} order by start_time, digest) = 1 order by path"
+        f" (partition by {group} order by start_time, digest, {FIRST}) = 1 order by path"
     )
 
 
@@ -198,7 +202,7 @@ def difference(a: Gathered, b: Gathered) -> Difference:
         ConfigError: if a set cannot be asked.
     """
     tables = [_by_digest(each) for each in (a, b)]
-    first, second = ({row["digest"]: row for row in table} for table in tables)
+    first, second = ({row["digest"]: row for row in reversed(table)} for table in tables)
     shared = first.keys() & second.keys()
     moved = []
     divided = all(any(map(_place, rows.values())) for rows in (first, second))
@@ -219,7 +223,7 @@ def difference(a: Gathered, b: Gathered) -> Difference:
 
 def _by_digest(gathered: Gathered) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = ask(
-        "select digest, path, part, label from episodes order by path desc", gathered.sources
+        f"select digest, path, part, label from episodes order by {FIRST}", gathered.sources
     ).to_pylist()
     return rows
 
