@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import runpy
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, unknown
+from coordlog.tasks.own import run_file
 
 Act = Callable[[Any], Any]
 """Observation in, action out."""
@@ -37,7 +36,7 @@ def load(name: str) -> tuple[Act, Json]:
     if colon and file.endswith(".py") and not Path(file).is_file():
         raise ConfigError(f"{file}: expected a policy's file, found no such file")
     if colon and file.endswith(".py"):
-        found = _run(Path(file))
+        found = run_file(Path(file), "policy")
         if attribute not in found:
             names = [key for key, value in found.items() if key[0] != "_" and callable(value)]
             raise unknown(f"policy of {file}", attribute, names)
@@ -83,19 +82,6 @@ def as_act(policy: Any, name: str) -> Act:
 def _about(kind: str, name: str, file: Path) -> Json:
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     return {"kind": kind, "name": name, "checkpoint_sha256": digest, "noise": {}}
-
-
-def _run(file: Path) -> dict[str, Any]:
-    folder = str(file.resolve().parent)
-    sys.path.insert(0, folder)
-    try:
-        return runpy.run_path(str(file))
-    except Exception as error:  # the file is the user's, and so is whatever it raises
-        raise ConfigError(
-            f"{file}: cannot be run for its policy: {type(error).__name__}: {error}"
-        ) from error
-    finally:
-        sys.path.remove(folder)
 
 
 def _stable_baselines(path: Path) -> Act:

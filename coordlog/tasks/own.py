@@ -33,7 +33,7 @@ def scene_of(name: str) -> Scene:
     file, colon, attribute = name.rpartition(":")
     if not colon:
         return find(name)
-    found = _run(Path(file))
+    found = run_file(Path(file), "scenes")
     scenes = [key for key, value in found.items() if isinstance(value, Scene)]
     if attribute not in scenes:
         raise unknown(f"scene of {file}", attribute, scenes)
@@ -45,9 +45,19 @@ def scene_of(name: str) -> Scene:
     return own
 
 
-def _run(file: Path) -> dict[str, Any]:
+def run_file(file: Path, what: str) -> dict[str, Any]:
     """Run a file of the user's as `python FILE.py` does: its own folder is where it imports from
     first.
+
+    Args:
+        file: What to run.
+        what: What it is run for, as the message says it: "scenes", "policy".
+
+    Returns:
+        What the file defines, by name.
+
+    Raises:
+        ConfigError: if it cannot be run, with what it raised.
     """
     folder = str(file.resolve().parent)
     sys.path.insert(0, folder)
@@ -55,7 +65,7 @@ def _run(file: Path) -> dict[str, Any]:
         return runpy.run_path(str(file))
     except Exception as error:  # the file is the user's, and so is whatever it raises
         raise ConfigError(
-            f"{file}: cannot be run for its scenes: {type(error).__name__}: {error}"
+            f"{file}: cannot be run for its {what}: {type(error).__name__}: {error}"
         ) from error
     finally:
         sys.path.remove(folder)
