@@ -19,6 +19,7 @@ from coordlog.catalog.rows import COLUMNS, KEPT, Job, described, table_of
 from coordlog.errors import StorageError
 from coordlog.record import manifest
 from coordlog.record.addresses import is_elsewhere, size_and_time
+from coordlog.record.files import Files, Skipped, nothing_found
 from coordlog.record.places import Entry, is_url
 
 
@@ -33,6 +34,10 @@ class Gathered:
     """What is broken or gone, and why."""
     folders: list[str] = field(default_factory=list)
     """Folders, packs and stores that the episodes lie in."""
+    files: Files = Files((), ())
+    """What else lies in the folders."""
+    is_empty: bool = True
+    """Whether no episode was found."""
 
 
 def gather(
@@ -47,15 +52,18 @@ def gather(
 
     Raises:
         StorageError: if a path does not exist.
+        SpecError: if the files were looked at, and none is an episode.
     """
-    found = Gathered()
-    for path in map(Path, paths):
+    found, given = Gathered(), [Path(path) for path in paths]
+    for path in given:
         if manifest.is_manifest(path):
             _manifest(path, found, scan=scan, run=run)
         elif _is_one(path):
             _file(path, found)
         else:
             _folder(str(path), found, scan=scan, run=run)
+    if scan and found.is_empty and found.folders:
+        raise nothing_found(given, found.files)
     return found
 
 
@@ -80,7 +88,11 @@ def _folder(address: str, found: Gathered, *, scan: bool, run: Run) -> None:
     elif not catalog.parts():
         raise StorageError(f"{catalog.root}: has no catalogue yet: `coordlog index` makes one")
     if scan:
-        found.left_out += [f"{catalog.store.path(name)}: {why}" for name, why in catalog.broken()]
+        broken = [Skipped(catalog.store.path(name), why) for name, why in catalog.broken()]
+        files = catalog.files(skipped=broken)
+        found.left_out += files.left_out()
+        found.files = found.files.joined(files)
+        found.is_empty &= len(broken) == catalog.rows().num_rows
     found.sources.append(Source(catalog.source(), catalog.root))
     found.folders.append(catalog.root)
 
@@ -90,7 +102,11 @@ def _file(path: Path, found: Gathered) -> None:
     if status is None:
         raise StorageError(f"{path}: no such file")
     row = table_of(described(Job("", (Entry(str(path), *status),))))
-    found.left_out += [f"{path}: {why}" for why in row.column("error").to_pylist() if why]
+    why = row.column("error").to_pylist()[0]
+    found.is_empty &= why is not None
+    if why is not None:
+        found.left_out.append(f"{path}: {why}")
+        found.files = found.files.joined(Files((), (), (Skipped(path, why),)))
     found.sources.append(Source(row, ""))
     found.folders.append(str(path))
 
@@ -116,6 +132,7 @@ def _manifest(path: Path, found: Gathered, *, scan: bool, run: Run) -> None:
         values = pa.array([getattr(wanted[digest], name) for digest in digests], pa.string())
         rows = rows.append_column(name, values)
     found.sources.append(Source(rows, ""))
+    found.is_empty &= rows.num_rows == 0 and not chosen.chosen
     found.notes += inner.notes
     found.folders += inner.folders
     there = set(digests)

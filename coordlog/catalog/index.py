@@ -28,6 +28,7 @@ from coordlog.catalog.rows import KEPT, Job, described, table_of, tombstones
 from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record.addresses import contents_of, place_at
+from coordlog.record.files import Files, Skipped
 from coordlog.record.places import Entry, Folder, Place
 from coordlog.record.store import Store, store_of
 
@@ -128,6 +129,11 @@ class Catalog:
         wrong = rows.filter(pc.is_valid(rows.column("error")))
         names, reasons = (wrong.column(name).to_pylist() for name in ("path", "error"))
         return list(zip(names, reasons, strict=True))
+
+    def files(self, skipped: Iterable[Skipped] = ()) -> Files:
+        """What the last look at the files left out, and what else is to be left out."""
+        found = self.store.files
+        return found._replace(skipped=(*found.skipped, *skipped))
 
     def parts(self) -> list[str]:
         """Names of the files of the catalogue, oldest first."""

@@ -141,28 +141,11 @@ def _matching(found: list[Entry], where: str) -> list[Entry]:
     Raises:
         ConfigError: if it is none, or nothing satisfies it.
     """
-    try:
-        import duckdb
-    except ModuleNotFoundError as error:
-        raise ConfigError("--where needs duckdb: pip install 'coordlog[exchange]'") from error
     import pyarrow as pa
 
-    from coordlog.commands.logs import CLOSED
-    from coordlog.conditions import require_condition
+    from coordlog.conditions import matching
 
-    rows = pa.Table.from_pylist([{**entry.row, "row": i} for i, entry in enumerate(found)])
-    with duckdb.connect(config=CLOSED) as connection:
-        connection.register("episodes", rows)
-        try:
-            require_condition(connection, where)
-            kept = connection.execute(
-                f"select row from episodes where ({where}\n) order by row"
-            ).fetchall()
-        except (duckdb.Error, ValueError) as error:
-            names = ", ".join(found[0].row)
-            raise ConfigError(
-                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-            ) from error
+    kept = matching(pa.Table.from_pylist([entry.row for entry in found]), where)
     if not kept:
         raise ConfigError(f"--where: no episode of {len(found)} satisfies: {where}")
-    return [found[row] for (row,) in kept]
+    return [found[row] for row in kept]

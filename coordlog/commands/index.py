@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL, ConfigError
 from coordlog.parallel import JOBS_HELP, mapped
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ def index(
     """Bring the catalogue of a folder up to date: a row per episode, for `query` and `select`.
 
     Only files whose size or time have changed are read. The catalogue lies in `.catalog/` of the
-    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 1 if
-    --verify finds other bytes than were catalogued.
+    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 2 if
+    none is, 1 if --verify finds other bytes than were catalogued.
 
     Examples:
 
@@ -47,10 +47,13 @@ def index(
         coordlog index PACK/ --verify
     """
     from coordlog.catalog.index import Catalog
+    from coordlog.record.files import Files, Skipped, nothing_found
 
     reports: list[dict[str, Any]] = []
-    broken, mismatches = 0, 0
+    left_out, mismatches = Files((), ()), 0
     for each in path:
+        if each.is_file():
+            raise ConfigError(f"{each}: expected a folder, a pack or an address, got a file")
         catalog = Catalog(each)
         with terminal.progress() as bar:
             task = bar.add_task(f"describing {each}", total=None, note="")
@@ -68,7 +71,8 @@ def index(
         if compact:
             catalog.compact()
         bad = catalog.broken()
-        broken, mismatches = broken + len(bad), mismatches + len(wrong)
+        files = catalog.files(Skipped(catalog.store.path(name), why) for name, why in bad)
+        left_out, mismatches = left_out.joined(files), mismatches + len(wrong)
         count = catalog.episodes().num_rows
         reports.append(
             {
@@ -76,18 +80,21 @@ def index(
                 "episodes": count,
                 **{name: getattr(change, name) for name in ("new", "changed", "gone")},
                 "broken": dict(bad),
+                "left_out": files.left_out(),
                 "mismatches": [item._asdict() for item in wrong],
             }
         )
         for note in change.notes:
             terminal.note(note)
         if not as_json:
-            _show(catalog.root, count, change, bad, wrong)
+            _show(catalog.root, count, change, files.left_out(), wrong)
     if as_json:
         terminal.print_json(reports)
     if mismatches:
         raise typer.Exit(EXIT_CHECK_FAILED)
-    if broken:
+    if not any(report["episodes"] or report["gone"] for report in reports):
+        raise nothing_found(path, left_out)
+    if left_out.left_out():
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -95,7 +102,7 @@ def _show(
     root: str,
     count: int,
     change: Change,
-    broken: list[tuple[str, str]],
+    left_out: list[str],
     wrong: list[Mismatch],
 ) -> None:
     terminal.out.print(
@@ -111,7 +118,7 @@ def _show(
             highlight=False,
             markup=False,
         )
-    for name, reason in broken[:SAID]:
-        terminal.note(f"skipped: {name}: {reason}")
-    if len(broken) > SAID:
-        terminal.note(f"skipped: {len(broken) - SAID} more; --json names them")
+    for reason in left_out[:SAID]:
+        terminal.note(f"skipped: {reason}")
+    if len(left_out) > SAID:
+        terminal.note(f"skipped: {len(left_out) - SAID} more; --json names them")

@@ -16,16 +16,6 @@ if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
 
 
-CLOSED: dict[str, str | bool | int | float | list[str]] = {
-    "enable_external_access": "false",
-    "autoinstall_known_extensions": "false",
-    "autoload_known_extensions": "false",
-    "memory_limit": "1GB",
-    "lock_configuration": "true",
-}
-"""How a database is opened that is asked what somebody typed: it reaches no file."""
-
-
 def cache_folder() -> Path:
     """Where decoded columns are kept: the user's cache folder. Deleting it only costs time."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coordlog" / "columns"
@@ -98,25 +88,10 @@ def matching(logs: Logs, where: str) -> list[int]:
     Raises:
         ConfigError: if it is no condition over these columns.
     """
-    import duckdb
-
-    from coordlog.conditions import require_condition
+    from coordlog.conditions import matching as satisfying
 
     columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
-    episodes = logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
-    with duckdb.connect(config=CLOSED) as connection:
-        connection.register("episodes", episodes)
-        try:
-            require_condition(connection, where)
-            rows = connection.execute(
-                f"select row from episodes where ({where}\n) order by row"
-            ).fetchall()
-        except (duckdb.Error, ValueError) as error:
-            names = ", ".join(columns)
-            raise ConfigError(
-                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-            ) from error
-    return [row for (row,) in rows]
+    return satisfying(logs.episodes.select(columns), where)
 
 
 def _require_alike(logs: Logs) -> None:

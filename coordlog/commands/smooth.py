@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
+from coordlog.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
 from coordlog.parallel import JOBS_HELP, SHARD_HELP
 from coordlog.parallel import shard as share
 
@@ -75,7 +75,8 @@ def smooth(
     where it is proven and no worse than the log; otherwise the log's own steps and the reason. The
     logs are never touched. Outputs that are there are not made again.
 
-    Exit code 3 if an episode kept its own steps or an input could not be used; each is named.
+    Exit code 3 if an episode kept its own steps or an input could not be used, each is named; 2 if
+    none could.
 
     Examples:
 
@@ -115,6 +116,8 @@ def smooth(
             "the same command goes on where it stopped"
         )
         raise typer.Exit(EXIT_INTERRUPTED)
+    if rows and all(row["status"] == SKIPPED for row in rows):
+        raise typer.Exit(EXIT_BAD_INPUT)
     kept = [row for row in rows if row["parameters"].get("steps_of", "log") == "log"]
     if (
         batch.files.parts

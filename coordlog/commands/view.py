@@ -155,13 +155,17 @@ def _overview(folder: Path) -> tuple[Any, bool]:
     are named.
 
     Raises:
-        ConfigError: if no episode is left.
+        SpecError: if no episode is left.
     """
     from coordlog.record.dataset import open as open_logs
+    from coordlog.record.files import find_files, nothing_found
     from coordlog.record.reader import read_attachments, read_episode
     from coordlog.view.overview import to_overview
     from coordlog.view.show import Show
 
+    files = find_files(folder)
+    if not files.paths:
+        raise nothing_found([folder], files)
     logs = open_logs(folder, skip_broken=True)
     with terminal.progress() as bar:
         task = bar.add_task("reading episodes", total=len(logs), note="")
@@ -179,12 +183,9 @@ def _overview(folder: Path) -> tuple[Any, bool]:
         try:
             stream = to_overview(shows())
         except ConfigError as error:
-            raise ConfigError(
-                f"{folder}: no episode to show; {len(logs.skipped)} files were left out"
-            ) from error
-        finally:
-            for item in logs.skipped:
-                terminal.note(f"skipped: {item.path}: {item.reason}")
+            raise nothing_found([folder], files._replace(skipped=()), skipped=logs.skipped) from error
+    for item in logs.skipped:
+        terminal.note(f"skipped: {item.path}: {item.reason}")
     return stream, bool(logs.skipped)
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
-from coordlog.errors import FormatError
-from coordlog.record.files import find_files
+from coordlog.errors import FormatError, StorageError
+from coordlog.record.files import Skipped, find_files, nothing_found, reason_of
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -130,22 +130,22 @@ def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry
     """The episodes under some paths in the order of their names, and what was skipped and why.
 
     Raises:
-        FormatError: if there are none, or one is broken and they are not to be skipped.
+        SpecError: if there are none.
+        FormatError: if one is broken and they are not to be skipped.
     """
-    found, skipped = find_files(paths), []
+    found = find_files(paths)
+    left: list[Skipped] = []
     known: list[Entry] = []
     for path in found.paths:
         try:
             known.append(Entry.of(path))
-        except FormatError as error:
+        except (FormatError, StorageError) as error:
             if not skip_broken:
-                raise FormatError(f"{error}; --skip-broken exports the others") from None
-            skipped.append(str(error))
-    skipped += [f"{part}: unfinished; `coordlog recover` makes an episode" for part in found.parts]
+                raise type(error)(f"{error}; --skip-broken exports the others") from None
+            left.append(Skipped(path, reason_of(path, error)))
     if not known:
-        where = ", ".join(map(str, paths))
-        raise FormatError(f"no episodes (.mcap) under {where}: there is nothing to export")
-    return known, skipped
+        raise nothing_found(paths, found, skipped=left)
+    return known, found._replace(skipped=(*found.skipped, *left)).left_out()
 
 
 def kind_of(header: Header) -> str:

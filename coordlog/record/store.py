@@ -16,7 +16,7 @@ from typing import Self
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, is_pack, listed
 from coordlog.record.buckets import Bucket
-from coordlog.record.files import find_files
+from coordlog.record.files import Files, find_files
 from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
 from coordlog.record.packs import is_shard
 from coordlog.record.places import Entry, is_url
@@ -28,6 +28,8 @@ class Store(ABC):
     """Episodes by name; a context manager, which finishes what was published."""
 
     address: str
+    files: Files = Files((), ())
+    """What the last listing found besides episodes: what it left out, and why."""
 
     @abstractmethod
     def list(self) -> list[Entry]:
@@ -84,7 +86,9 @@ class LocalStore(Store):
             StorageError: if there is no such folder.
         """
         entries = []
-        for path in find_files(self.folder).paths:
+        found = find_files(self.folder)
+        self.files = found._replace(paths=())
+        for path in found.paths:
             with translated(path, "look at the file"):
                 status = path.stat()
             name = path.relative_to(self.folder).as_posix()

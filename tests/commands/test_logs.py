@@ -31,6 +31,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
         ("case when clean then false else true end", [2]),
         ("seed in (11, 13)", [0, 2]),
         ("returns[1] > -1e9", [0, 1, 2]),
+        ("nullif(clean, false)", [0, 1]),
+        ("returns[1] / 0 is not null or clean", [0, 1, 2]),
     ],
 )
 def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -> None:
@@ -64,6 +66,17 @@ def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -
         "1=1; attach '/tmp/x.db'; select row from episodes where true",
         "1=1; install httpfs; load httpfs",
         "\0",
+        "1/0",
+        "length",
+        "null",
+        "'true'",
+        "row >= 0",
+        "columns(*)",
+        "sum(length) over () > 1",
+        "unnest([true, false])",
+        "*",
+        "clean, success",
+        "clean as b",
     ],
 )
 def test_whatever_is_more_than_a_condition_is_refused(logs: Logs, where: str) -> None:
