@@ -34,7 +34,7 @@ class Gathered:
     """What is broken or gone, and why."""
     folders: list[str] = field(default_factory=list)
     """Folders, packs and stores that the episodes lie in."""
-    files: Files = Files((), ())
+    files: Files = field(default_factory=lambda: Files((), ()))
     """What else lies in the folders."""
     is_empty: bool = True
     """Whether no episode was found."""

@@ -183,7 +183,9 @@ def _overview(folder: Path) -> tuple[Any, bool]:
         try:
             stream = to_overview(shows())
         except ConfigError as error:
-            raise nothing_found([folder], files._replace(skipped=()), skipped=logs.skipped) from error
+            raise nothing_found(
+                [folder], files._replace(skipped=()), skipped=logs.skipped
+            ) from error
     for item in logs.skipped:
         terminal.note(f"skipped: {item.path}: {item.reason}")
     return stream, bool(logs.skipped)

@@ -19,7 +19,9 @@ GAP = 10.0
 """Spacings longer than this many typical ones do not count towards the typical one."""
 _BLOCK = 8  # samples: publishers taking turns, up to so many, look uniform over such a stretch
 _A_DAY = 86400.0  # s: no joint is sampled once a day; such numbers are nanoseconds or the like
-_NEVER = 1e11  # s: three thousand years; such stamps count thousandths of seconds since 1970, or less
+_NEVER = (
+    1e11  # s: three thousand years; such stamps count thousandths of seconds since 1970, or less
+)
 _INSTANT = 1e-12  # s: no joint is sampled so often, and cubes of such spacings vanish
 _COARSE = 0.1  # of the spacing: a resolution of the stamps beyond which their order is noise
 

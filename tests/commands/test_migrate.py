@@ -32,7 +32,9 @@ def test_a_folder_becomes_new_files_that_name_the_old_ones(tmp_path):
     again = ["migrate", str(source.parent), str(tmp_path / "new"), "--out", str(tmp_path / "new")]
     done = CliRunner().invoke(app, again)
     assert done.exit_code == 0, done.output
-    said = "nothing to do for 2 episodes; 1 of the present schema version already; 1 migrated before"
+    said = (
+        "nothing to do for 2 episodes; 1 of the present schema version already; 1 migrated before"
+    )
     assert said in " ".join(done.output.split())
     assert Path(new.source).read_bytes() == made
 
