@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +13,13 @@ from coordlog.cli import app
 from coordlog.commands.logs import load_logs
 from coordlog.errors import CoordlogError
 from coordlog.record.branches import EARLIEST, LATEST, Parents, leave
+from tests.spoken import sound
 
 SEEDS = 200
 
 
 def run(*args: str | Path, cache: Path) -> str:
-    command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False, env=environment
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout
+    return sound(*args, cache=cache).stdout
 
 
 def left(mishap: np.ndarray) -> set[int]:

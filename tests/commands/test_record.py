@@ -13,16 +13,14 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
+from tests import spoken
+from tests.spoken import Said, sound
+
 COORDLOG = [sys.executable, "-m", "coordlog.cli"]
 
 
-def run(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def run(*args: str | Path, wanted: int = 0) -> Said:
+    return sound(*args, code=wanted)
 
 
 @pytest.fixture(scope="module")
@@ -193,14 +191,12 @@ def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> 
         assert finished
         assert len(finished) + len(parts) == len(list(folder.iterdir()))
         for part in parts:
-            done = subprocess.run(
-                [*COORDLOG, "recover", str(part)], capture_output=True, text=True, check=False
-            )
-            assert done.returncode in (0, 2, 3), done.stderr
-            assert "Traceback" not in done.stderr
+            done = spoken.said("recover", part)
+            assert done.unforeseen is None
+            assert done.exit_code in (0, 2, 3), done.stderr
             recovered = part.with_suffix("")
             if (
-                done.returncode == 2
+                done.exit_code == 2
             ):  # nothing in it yet, or killed between giving the file its name and dropping the other
                 assert "nothing to recover" in done.stderr or recovered in finished, done.stderr
             else:

@@ -17,20 +17,17 @@ import pytest
 
 from coordlog.record.reader import read_attachments, read_episode, read_header
 from coordlog.record.writer import write_episode
+from tests import spoken
+from tests.spoken import Said, sound
 
 COORDLOG = [sys.executable, "-m", "coordlog.cli"]
 
 
-def run(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [*COORDLOG, *map(str, args)], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def run(*args: str | Path, wanted: int = 0) -> Said:
+    return sound(*args, code=wanted)
 
 
-def said(done: subprocess.CompletedProcess[str]) -> str:
+def said(done: Said) -> str:
     return " ".join(done.stderr.split())
 
 
@@ -299,19 +296,14 @@ def test_a_falling_log_is_called_infeasible(tmp_path: Path) -> None:
     )
     (source,) = (tmp_path / "in").glob("*.mcap")
     assert read_episode(source).instability.any(), "it must fall, or the test shows nothing"
-    done = subprocess.run(
-        [*COORDLOG, "smooth", source, "--out", tmp_path / "out", "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = spoken.said("smooth", source, "--out", tmp_path / "out", "--json")
     report = json.loads(done.stdout)
     (row,) = report["rows"]
     assert row["status"] == "raw_infeasible", (
         "whether or not its execution is a better fall, it is not safe"
     )
     assert row["reason"]
-    assert done.returncode == (3 if row["parameters"]["steps_of"] == "log" else 0)
+    assert done.exit_code == (3 if row["parameters"]["steps_of"] == "log" else 0)
     assert "Infinity" not in json.dumps(report)
     run("check", tmp_path / "out", "--jobs", "1")
 
