@@ -19,18 +19,15 @@ import numpy as np
 
 from coordlog.contracts import Policy
 from coordlog.episode import Array
-from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.avoidance import farthest
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
 from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
-from coordlog.smooth.limits import Limits
-from coordlog.smooth.lineage import FASTER, fastest_of
 from coordlog.smooth.result import Result
 from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness
-from experiments.case import ONE, Case, chase
+from experiments.case import ONE, Case, chase, judged_by
 
 CLEARANCE = 0.005  # m, what `coordlog smooth` keeps by default
 
@@ -170,26 +167,11 @@ def _safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
     cpu = {"rollout": process_time() - began}
     began = process_time()
     task = env.task
-    checker = SceneChecker(
-        where.log.model,
-        task.robot,
-        task.config,
-        time=rolled.time,
-        qpos=rolled.qpos,
-        initial=where.log.start,
-    )
-    angles = rolled.qpos[:, task.qpos_index]
-    fastest = fastest_of(rolled.time, angles)
-    limits = Limits(
-        task.limits[:, 0],
-        task.limits[:, 1],
-        speed=FASTER * np.maximum(task.speeds, fastest),
-        nominal_speed=task.speeds,
-    )
+    checker, limits = judged_by(where.log, task, rolled.time, rolled.qpos)
     # The checker is one by its methods: the simulation's room knows nothing of smoothing.
     result = smooth(
         rolled.time,
-        angles,
+        rolled.qpos[:, task.qpos_index],
         cast("Any", checker),
         limits=limits,
         joints=task.robot.action_joints,

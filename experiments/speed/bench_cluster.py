@@ -33,6 +33,7 @@ SETTINGS = {"method": "local", "cutoff": "max", "max_deviation": None, "clearanc
 
 
 def main() -> None:
+    """Measure both."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

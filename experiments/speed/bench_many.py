@@ -56,6 +56,7 @@ Row = tuple[str, float, str]
 
 
 def main() -> None:
+    """Measure what the command line names."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -70,6 +70,7 @@ class Worker:
 
 
 def main() -> None:
+    """Compare on every log."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("logs", type=Path, help="folder of episodes that both trees read")
     parser.add_argument("--before", type=Path, required=True, help="checkout to compare with")

@@ -9,10 +9,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from coordlog.record.display import Shown
 from coordlog.record.recording import Recording
 from coordlog.record.writer import write_episode
 from coordlog.sim.description import GRAIN, Description
-from coordlog.record.display import Shown
 from coordlog.spec import DESCRIPTION_TOPIC, STEP, TRANSFORMS_TOPIC
 
 V1 = Path(__file__).parents[1] / "data" / "v1"
