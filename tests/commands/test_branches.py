@@ -76,15 +76,15 @@ def test_a_branch_begins_in_the_very_state_it_was_left_in(
         "--policy",
         "still",
         "--episodes",
-        "6",
+        "3",
         "--out",
         tmp_path,
         cache=cache,
     )
     parents = {episode.header.episode["index"]: episode for episode in coordlog.open(logs)}
     branches = list(coordlog.open(tmp_path))
-    assert len(branches) == 6
-    assert len({branch.header.episode["id"] for branch in branches}) == 6
+    assert len(branches) == 3
+    assert len({branch.header.episode["id"] for branch in branches}) == 3
     for branch in branches:
         parent, step = (
             parents[branch.header.episode["index"]],
@@ -105,7 +105,7 @@ def test_a_branch_replays_from_its_own_file(logs: Path, cache: Path, tmp_path: P
         "--branch",
         logs,
         "--episodes",
-        "4",
+        "2",
         "--noise",
         "0.2",
         "--out",

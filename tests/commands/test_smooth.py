@@ -363,7 +363,7 @@ def many(logs: Path, folder: Path, count: int) -> Path:
 def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(
     logs: Path, tmp_path: Path, jobs: str
 ) -> None:
-    folder, out = many(logs, tmp_path / "in", 24), tmp_path / "out"
+    folder, out = many(logs, tmp_path / "in", 12), tmp_path / "out"
     process = subprocess.Popen(
         [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", jobs],
         stdout=subprocess.PIPE,
@@ -371,18 +371,18 @@ def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(
         text=True,
         start_new_session=True,
     )
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while len(list(out.glob("*.mcap"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to every process of the group
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=300)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     done = len(list(out.glob("*.mcap")))
-    assert 2 <= done < 24
+    assert 2 <= done < 12
     assert not list(out.glob("*.part"))
-    again = json.loads(run("smooth", folder, "--out", out, "--jobs", "2", "--json").stdout)
-    assert (again["resumed"], again["episodes"]) == (done, 24)
+    again = json.loads(run("smooth", folder, "--out", out, "--jobs", jobs, "--json").stdout)
+    assert (again["resumed"], again["episodes"]) == (done, 12)
 
 
 def test_a_killed_batch_goes_on_where_it_stopped(logs: Path, tmp_path: Path) -> None:
@@ -392,7 +392,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(logs: Path, tmp_path: Path) -> 
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while len(list(out.glob("*.mcap"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     process.kill()
