@@ -20,7 +20,7 @@ import pyarrow as pa
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-import coordlog
+from coordlog import api
 from coordlog.episode import Array, Episode
 from coordlog.record.reader import read_attachments
 from coordlog.record.writer import write_episode
@@ -41,13 +41,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         logs = given.logs or Path(name, "logs")
         if given.logs is None:
-            coordlog.record("table", episodes=10, noise=0.15, out=logs)
+            api.record("table", episodes=10, noise=0.15, out=logs)
         show(rows(logs, Path(name), given.episodes), given.json)
 
 
 def rows(logs: Path, folder: Path, count: int) -> Iterator[Row]:
     """Everything about so many episodes."""
-    opened = coordlog.open(logs)
+    opened = api.open(logs)
     some, attached = list(opened), read_attachments(opened.paths[0])
     many = list(islice(cycle(some), count))
     sizes = {}
@@ -79,8 +79,8 @@ def reading(folder: Path, many: list[Episode]) -> Iterator[Row]:
     seconds = medians(
         turns(
             {
-                "ours": lambda: coordlog.open(folder / "plain").to_table(),
-                "ours, topics for viewing on": lambda: coordlog.open(folder / "shown").to_table(),
+                "ours": lambda: api.open(folder / "plain").to_table(),
+                "ours, topics for viewing on": lambda: api.open(folder / "shown").to_table(),
                 "npz": lambda: [load_npz(folder / f"{i:05}.npz") for i in range(len(many))],
                 "npy": lambda: [load_npy(folder, f"{i:05}") for i in range(len(many))],
                 "mcap-ros2": lambda: [with_ros2(folder / "plain" / f"{i:05}.mcap") for i in few],

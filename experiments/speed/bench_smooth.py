@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-import coordlog
+from coordlog import api
 from coordlog.episode import Array
 from coordlog.record.recording import Recording
 from coordlog.sim.replay import Log, task_of
@@ -255,8 +255,8 @@ def main() -> None:
     seen: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as name:
         for scene in tables.SCENES if given.logs is None else ():
-            coordlog.record(scene, episodes=given.count, noise=0.15, out=name)
-        for path in coordlog.open(given.logs or name).paths:
+            api.record(scene, episodes=given.count, noise=0.15, out=name)
+        for path in api.open(given.logs or name).paths:
             bench = Bench(path)
             scene = bench.episode.header.episode["scene"]
             at = seen[scene] = seen.get(scene, -1) + 1

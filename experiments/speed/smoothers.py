@@ -54,7 +54,7 @@ def paper_plainly(time: Array, q: Array, all_free: Callable[[Array], bool]) -> t
     """The paper's Algorithms 2 to 4, word for word: csaps for one joint and step, and every knot
     asked about; the path and its p.
     """
-    index, weight = np.arange(len(time)), np.ones(len(time))
+    index, weight = np.arange(float(len(time))), np.ones(len(time))
     weight[[0, -1]] = np.inf
     path, ps = q.copy(), []
     for joint in range(q.shape[1]):
