@@ -6,8 +6,50 @@ import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from coordlog.errors import ConfigError
+
 if TYPE_CHECKING:
+    import pyarrow as pa
     from duckdb import DuckDBPyConnection
+
+CLOSED: dict[str, str | bool | int | float | list[str]] = {
+    "enable_external_access": "false",
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+    "memory_limit": "1GB",
+    "lock_configuration": "true",
+}
+"""How a database is opened that is asked what somebody typed: it reaches no file."""
+NUMBER = "#"
+"""Name of the column that numbers the rows; no condition needs it."""
+
+
+def matching(episodes: pa.Table, where: str) -> list[int]:
+    """Rows of a table that satisfy an SQL condition over its columns, in their order.
+
+    Raises:
+        ConfigError: if it is no condition over these columns, or nothing satisfies it.
+    """
+    try:
+        import duckdb
+    except ModuleNotFoundError as error:
+        raise ConfigError("--where needs duckdb: pip install 'coordlog[catalog]'") from error
+    numbered = episodes.append_column(NUMBER, [list(range(len(episodes)))])
+    with duckdb.connect(config=CLOSED) as connection:
+        connection.register("episodes", numbered)
+        try:
+            require_condition(connection, where)
+            kept = connection.execute(
+                f'select "{NUMBER}" from episodes where ({where}\n) order by "{NUMBER}"'
+            ).fetchall()
+        except (duckdb.Error, ValueError) as error:
+            names = ", ".join(episodes.column_names)
+            raise ConfigError(
+                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
+            ) from error
+    if not kept:
+        raise ConfigError(f"--where: no episode of {len(episodes)} satisfies: {where}")
+    return [row for (row,) in kept]
 
 
 def require_condition(connection: DuckDBPyConnection, where: str) -> None:

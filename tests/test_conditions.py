@@ -1,22 +1,24 @@
-"""Tests for logs.py: what --where takes is one condition on single episodes."""
+"""Tests for conditions.py: what --where takes is one condition on single episodes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
-from coordlog.commands.logs import matching
+from coordlog.api.logs import described
+from coordlog.conditions import NUMBER, matching
 from coordlog.errors import ConfigError
-from coordlog.record.cache import Logs, load
+from coordlog.record.cache import load
 
-FILES = sorted((Path(__file__).parents[1] / "data" / "v1" / "table").glob("*.mcap"))
+FILES = sorted((Path(__file__).parent / "data" / "v1" / "table").glob("*.mcap"))
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
     folder = tmp_path_factory.mktemp("cache")
-    return load(FILES, folder, run=lambda build, groups: map(build, groups))
+    return described(load(FILES, folder, run=lambda build, groups: map(build, groups)))
 
 
 @pytest.mark.parametrize(
@@ -33,8 +35,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
         ("returns[1] > -1e9", [0, 1, 2]),
     ],
 )
-def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -> None:
-    assert matching(logs, where) == rows
+def test_a_condition_chooses_episodes(episodes: pa.Table, where: str, rows: list[int]) -> None:
+    assert matching(episodes, where) == rows
 
 
 @pytest.mark.parametrize(
@@ -66,6 +68,14 @@ def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -
         "\0",
     ],
 )
-def test_whatever_is_more_than_a_condition_is_refused(logs: Logs, where: str) -> None:
+def test_whatever_is_more_than_a_condition_is_refused(episodes: pa.Table, where: str) -> None:
     with pytest.raises(ConfigError, match="--where: expected an SQL condition over length"):
-        matching(logs, where)
+        matching(episodes, where)
+
+
+def test_what_numbers_the_rows_is_no_column_to_ask_for(episodes: pa.Table) -> None:
+    with pytest.raises(ConfigError, match="--where: no episode of 3 satisfies: length > 9999"):
+        matching(episodes, "length > 9999")
+    with pytest.raises(ConfigError) as refused:
+        matching(episodes, "row = 0")
+    assert NUMBER not in str(refused.value)
