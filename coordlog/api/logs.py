@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from coordlog.conditions import matching
-from coordlog.errors import FormatError, SpecError
+from coordlog.errors import ConfigError, FormatError, SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
@@ -65,7 +65,10 @@ def load_logs(
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
         heard.note(f"skipped: {item.path}: {item.reason}")
-    chosen = logs.select(matching(described(logs), where)) if where else logs
+    rows = matching(described(logs), where) if where else range(len(logs))
+    if not rows:
+        raise ConfigError(f"--where: no episode of {len(logs)} satisfies: {where}")
+    chosen = logs.select(rows) if where else logs
     scenes = sorted(set(chosen.episodes.column("scene").to_pylist()))
     if len(scenes) > 1:
         raise SpecError(

@@ -134,10 +134,16 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _matching(found: list[Entry], where: str) -> list[Entry]:
-    """The episodes that satisfy an SQL condition."""
+    """The episodes that satisfy an SQL condition.
+
+    Raises:
+        ConfigError: if it is none, or nothing satisfies it.
+    """
     import pyarrow as pa
 
     from coordlog.conditions import matching
 
-    rows = pa.Table.from_pylist([entry.row for entry in found])
-    return [found[row] for row in matching(rows, where)]
+    kept = matching(pa.Table.from_pylist([entry.row for entry in found]), where)
+    if not kept:
+        raise ConfigError(f"--where: no episode of {len(found)} satisfies: {where}")
+    return [found[row] for row in kept]

@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.options import Episodes, Jobs, Shard, flag, json_flag
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
+from coordlog.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
@@ -67,7 +67,8 @@ def smooth(
     where it is proven and no worse than the log; otherwise the log's own steps and the reason. The
     logs are never touched. Outputs that are there are not made again.
 
-    Exit code 3 if an episode kept its own steps or an input could not be used; each is named.
+    Exit code 3 if an episode kept its own steps or an input could not be used, each is named; 2 if
+    none could.
 
     Examples:
 
@@ -77,6 +78,7 @@ def smooth(
     """
     from coordlog.record.places import require_folder
     from coordlog.smooth.batch import smooth_logs
+    from coordlog.smooth.report import SKIPPED
 
     require_folder(out)
     settings = {
@@ -105,6 +107,8 @@ def smooth(
             "the same command goes on where it stopped"
         )
         raise typer.Exit(EXIT_INTERRUPTED)
+    if found["rows"] and all(row["status"] == SKIPPED for row in found["rows"]):
+        raise typer.Exit(EXIT_BAD_INPUT)
     kept = [row for row in found["rows"] if row["parameters"].get("steps_of", "log") == "log"]
     if found["unfinished"] or found["skipped"] or kept:
         raise typer.Exit(EXIT_PARTIAL)

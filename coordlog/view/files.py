@@ -48,7 +48,8 @@ def draw_files(
         monitor: Hears of progress, and of files that are left out.
 
     Raises:
-        ConfigError: for a folder among several paths, or one with broken files alone.
+        ConfigError: for a folder among several paths.
+        SpecError: for a folder without an episode to show.
         FormatError: if a file is no episode, or holds no complete step.
     """
     heard = monitor or Monitor()
@@ -121,9 +122,10 @@ def _apart(shows: list[Show]) -> list[Show]:
 
 def _overview(folder: Path, monitor: Monitor) -> Drawn:
     """The overview of a folder; files that are left out because they are broken are named."""
+    files = find_files(folder)
+    if not files.paths:
+        raise nothing_found([folder], files)
     logs = open_logs(folder, skip_broken=True)
-    if not logs.paths and not logs.skipped:
-        raise nothing_found([folder], find_files(folder))
     with monitor.progress("reading episodes", len(logs)) as progress:
 
         def shows() -> Iterator[Show]:
@@ -139,10 +141,8 @@ def _overview(folder: Path, monitor: Monitor) -> Drawn:
         try:
             stream = to_overview(shows())
         except ConfigError as error:
-            raise ConfigError(
-                f"{folder}: no episode to show; {len(logs.skipped)} files were left out"
-            ) from error
-        finally:
-            for item in logs.skipped:
-                monitor.note(f"skipped: {item.path}: {item.reason}")
+            files = files._replace(skipped=())
+            raise nothing_found([folder], files, skipped=logs.skipped) from error
+    for item in logs.skipped:
+        monitor.note(f"skipped: {item.path}: {item.reason}")
     return Drawn(stream, "some files were left out" if logs.skipped else "")
