@@ -22,7 +22,7 @@ from coordlog.sim.making import make_env, true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
 from coordlog.train import run as runs
-from coordlog.train.bind import FARTHEST, require_alike, task_of
+from coordlog.train.bind import FARTHEST, learning_task, require_alike
 from coordlog.train.events import EventFiles, require_tensorboard
 from coordlog.train.live import Simulations
 from coordlog.train.logs import Columns
@@ -236,7 +236,7 @@ def trainer_of(run: Run, recorder: Recorder | None, hooks: Hooks) -> Trainer:
         source = Simulations(recorder, seed=settings.loop.seed, k=env.layout.k, farthest=farthest)
     kept = ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
     return Trainer(
-        task_of(env.describe(), reward=env.task.reward),
+        learning_task(env.describe(), reward=env.task.reward),
         settings,
         folder=run.folder,
         logs=Columns.from_tables(run.logs.steps, run.logs.episodes) if run.logs else None,
