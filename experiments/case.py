@@ -9,14 +9,10 @@ import numpy as np
 
 from coordlog.contracts import Problem
 from coordlog.episode import Array, Header
-from coordlog.kinematics.clearance import SceneChecker
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.scoring import Score
-from coordlog.sim.task import BoundTask
 from coordlog.sim.tracking import Drive, Run, run
-from coordlog.smooth.limits import Limits
-from coordlog.smooth.lineage import FASTER, fastest_of
 from experiments.measure import SEED, SPLIT
 
 ONE = np.zeros(1, dtype=np.int64)
@@ -62,7 +58,7 @@ def chase(log: Log, path: Callable[[float], Array], duration: float) -> Run:
     """Drive the servos along a path of the action joints, path(t) (n_u,) [rad], and hold its end
     until the episode does.
     """
-    task = task_of(log)
+    task = bound_task(log)
     period, (low, high) = task.config.control_period, task.limits.T
     trim = np.zeros(len(low))
 
@@ -73,19 +69,6 @@ def chase(log: Log, path: Callable[[float], Array], duration: float) -> Run:
         return drive.action_to(np.clip(path(min((step + 1) * period, duration)) + trim, low, high))
 
     return run(log, act)
-
-
-def judged_by(log: Log, task: BoundTask, time: Array, qpos: Array) -> tuple[SceneChecker, Limits]:
-    """What judges a path through configurations (n, n_q) of a log, and the limits that `coordlog
-    smooth` sets it.
-    """
-    checker = SceneChecker(
-        log.model, task.robot, task.config, time=time, qpos=qpos, initial=log.start
-    )
-    fastest = fastest_of(time, qpos[:, task.qpos_index])
-    speed = FASTER * np.maximum(task.speeds, fastest)
-    low, high = task.limits.T
-    return checker, Limits(low, high, speed=speed, nominal_speed=task.speeds)
 
 
 def score(ran: Run) -> Score:

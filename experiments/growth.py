@@ -15,10 +15,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from coordlog.kinematics.clearance import SceneChecker
 from coordlog.smooth.smoother import smooth
 from experiments import tables
 from experiments.actors import actor
-from experiments.case import case, judged_by
+from experiments.case import case
 from experiments.evaluate import RADII, environment, versions
 from experiments.safe import kinematic
 
@@ -44,7 +45,10 @@ def measure(knots: tuple[int, ...] = KNOTS) -> tables.Table:
         )
         row: dict[str, Any] = {"knots": n}
         for name, options in METHODS.items():
-            checker, _ = judged_by(where.log, task, time, qpos)
+            log = where.log
+            checker = SceneChecker(
+                log.model, task.robot, task.config, time=time, qpos=qpos, initial=log.start
+            )
             # The checker is one by its methods: the simulation's room knows nothing of smoothing.
             result = smooth(time, qpos[:, task.qpos_index], cast("Any", checker), **options)
             row[name] = {

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import process_time
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,10 +24,10 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
 from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
+from coordlog.smooth.recorded import smooth_motion
 from coordlog.smooth.result import Result
-from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness
-from experiments.case import ONE, Case, chase, judged_by
+from experiments.case import ONE, Case, chase
 
 CLEARANCE = 0.005  # m, what `coordlog smooth` keeps by default
 
@@ -166,17 +166,8 @@ def _safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
     rolled = physical(where, env, policy) if physics else kinematic(env, where, policy)
     cpu = {"rollout": process_time() - began}
     began = process_time()
-    task = env.task
-    checker, limits = judged_by(where.log, task, rolled.time, rolled.qpos)
-    # The checker is one by its methods: the simulation's room knows nothing of smoothing.
-    result = smooth(
-        rolled.time,
-        rolled.qpos[:, task.qpos_index],
-        cast("Any", checker),
-        limits=limits,
-        joints=task.robot.action_joints,
-        ends="soft",
-        clearance=CLEARANCE,
+    result, _ = smooth_motion(
+        where.log, rolled.time, rolled.qpos, ends="soft", settings={"clearance": CLEARANCE}
     )
     cpu["smooth"] = process_time() - began
     return Safe(result, rolled, cpu)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
-from typing import Any, cast
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,17 +28,17 @@ from scipy.spatial import ConvexHull
 
 from coordlog import api
 from coordlog.episode import Array
+from coordlog.kinematics.clearance import SceneChecker
 from coordlog.record.recording import Recording
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.tracking import run
 from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
 from coordlog.smooth.knots import clean
 from coordlog.smooth.metrics import PathLoad
-from coordlog.smooth.smoother import smooth
+from coordlog.smooth.recorded import smooth_motion
 from coordlog.tasks.scene import sole_corner
 from experiments import tables
-from experiments.case import judged_by
 from experiments.speed import smoothers
 from experiments.stats import median_interval
 
@@ -75,12 +75,17 @@ class Bench:
         recording = Recording(path)
         self.episode = recording.episode
         self.log = Log.of(self.episode, recording.model, recording.initial_state)
-        self.task = task_of(self.log)
+        self.task = bound_task(self.log)
         self.time, self.q = self.episode.time, self.episode.qpos[:, self.task.qpos_index]
         self.knots, self.model = clean(self.time, self.q), recording.model
-        began = process_time()
-        self.checker, self.limits = self.judge()
-        self.building = process_time() - began
+        self.checker = SceneChecker(
+            self.model,
+            self.task.robot,
+            self.task.config,
+            time=self.time,
+            qpos=self.episode.qpos,
+            initial=self.log.start,
+        )
         self.pairs = {tuple(pair) for pair in self.checker.pairs.tolist()}
         self.data = mujoco.MjData(self.model)
         mujoco.mj_setState(
@@ -93,10 +98,6 @@ class Bench:
         ]
         self.mass = self.model.body_mass / self.model.body_mass.sum()
         self.load = self.loads(smoothers.through(self.time, self.q))
-
-    def judge(self) -> tuple[Any, Any]:
-        """A checker that has been asked nothing yet, and limits."""
-        return judged_by(self.log, self.task, self.time, self.episode.qpos)
 
     def loads(self, path: Any) -> PathLoad:
         """What a path alone asks of servos and feet."""
@@ -163,15 +164,16 @@ def measure(bench: Bench, *, with_peers: bool, with_plain: bool) -> Rows:
     for name, how in OURS.items():
         if name not in EVERYWHERE and not with_peers:
             continue
-        checker, limits = bench.judge()
-        joints = bench.task.robot.action_joints
-        result = smooth(
-            bench.time, bench.q, cast("Any", checker), limits=limits, joints=joints, **how
+        settings = {key: value for key, value in how.items() if key != "ends"}
+        began = process_time()
+        result, _ = smooth_motion(
+            log, bench.time, episode.qpos, ends=how.get("ends", "natural"), settings=settings
         )
+        cpu = process_time() - began
         results[name], ran = result, execute(log, result, episode)
         rows[name] = bench.figures(
             result.spline,
-            cpu=result.cpu + bench.building,
+            cpu=cpu,
             torque=ran.smoothed.rate / torque if ran.smoothed else 1.0,
             worse=ran.reason if ran.run is None else "",
         ) | {"status": ran.status, "certified": result.certified}

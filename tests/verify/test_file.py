@@ -27,7 +27,7 @@ from tests.synthetic import (
 
 
 def checked(path, level="content"):
-    return check(path, level=level, rewards=rewards)
+    return check(path, level=level)
 
 
 def written(path, episode, *, display=False):
