@@ -9,7 +9,7 @@ from hypothesis import settings
 from coordlog.record.writer import write_episode
 from tests.synthetic import ATTACHMENTS, TINY, make_episode, make_header
 
-settings.register_profile("coordlog", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("coordlog", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("coordlog")
 
 
