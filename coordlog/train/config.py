@@ -345,9 +345,9 @@ class LoopConfig:
 
     The results are the same either way.
     """
-    averaged: bool = True
-    """Evaluate and keep the target actor, an average of the last actors (eq. 5), in place of the
-    actor itself."""
+    average: float = 0.1
+    """The policy that is evaluated and kept is an average of the actors of about this last share of
+    the updates so far, but of no fewer than 1/τ, as the target actor's; 0 for the actor itself."""
     metrics_every: int = 500
     """Updates between two rows of metrics."""
     evaluate_every: int = 2_500
@@ -367,4 +367,5 @@ class LoopConfig:
             "a positive number",
             self.updates_per_step,
         )
+        require(0 <= self.average <= 1, "loop.average", "a share in [0, 1]", self.average)
         require(0 < self.final_rate <= 1, "loop.final_rate", "a share in (0, 1]", self.final_rate)

@@ -123,6 +123,7 @@ class Trainer:
             config=settings.learner,
             bounds=bounds,
             seed=loop.seed,
+            average=loop.average,
             device=device,
         )
         self.steps, self.best = 0, dict[str, float]()
@@ -190,9 +191,7 @@ class Trainer:
 
     def policy(self) -> Policy:
         """What the run has learnt so far, as a function and file of its own."""
-        return self._policy(
-            self.learner.target_actor if self.settings.loop.averaged else self.learner.actor
-        )
+        return self._policy(self.learner.average_actor)
 
     def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network

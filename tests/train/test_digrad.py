@@ -557,3 +557,26 @@ def test_a_state_of_another_layout_is_refused_by_name() -> None:
         other.load_state(saved)
     with pytest.raises(SpecError, match=r"actor\.mlp.* got None"):
         other.load_state({})
+
+
+def test_the_average_is_of_the_last_share_of_the_actors() -> None:
+    config = replace(DDPG, tau=1.0, actor_rate=0.01)
+    made = Learner(
+        N_X,
+        gradient_mask(TWO_ARMS, N_U),
+        network=PLAIN,
+        config=config,
+        bounds=BOUNDS,
+        seed=0,
+        average=0.5,
+    )
+    first = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
+    wanted = first.clone()
+    generator = np.random.default_rng(0)
+    for update in range(1, 30):
+        made.update(batch(generator))
+        now = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
+        wanted += (now - wanted) * min(1.0, 1 / (0.5 * update))
+    found = torch.cat([each.reshape(-1) for each in made.average_actor.parameters()])
+    torch.testing.assert_close(found, wanted, rtol=1e-5, atol=1e-6)
+    assert not torch.allclose(found, now, atol=1e-4)
