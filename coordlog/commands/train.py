@@ -131,6 +131,7 @@ def train(
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import (
+        ELSEWHERE,
         EVALUATION_ENVS,
         RANK,
         Judge,
@@ -219,7 +220,14 @@ def train(
         show = Progress(
             stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events
         )
-        judge = Judge(judged, folder, run=run, episodes=eval_episodes, window=window)
+        judge = Judge(
+            judged,
+            folder,
+            run=run,
+            episodes=eval_episodes,
+            elsewhere=0 if mode != "logs" else max(1, eval_episodes // ELSEWHERE),
+            window=window,
+        )
         recorder = None
         if mode != "logs":
             simulated = practising(place, around, like, wanted, start=start, envs=envs)

@@ -574,7 +574,7 @@ def test_the_average_is_of_the_last_share_of_the_actors() -> None:
     wanted = first.clone()
     generator = np.random.default_rng(0)
     for update in range(1, 30):
-        made.update(batch(generator))
+        made.update(batch(generator, 2))
         now = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
         wanted += (now - wanted) * min(1.0, 1 / (0.5 * update))
     found = torch.cat([each.reshape(-1) for each in made.average_actor.parameters()])
