@@ -155,6 +155,9 @@ class BehaviourConfig:
     schedule: Schedule = "linear"
     """In between "linear", or "geometric": in equal factors, so that it is weak, and values are
     heard, for most of the run."""
+    extra: int = 0
+    """Further steps of the actor per update that only imitate, from logs alone: they cost a tenth
+    of an update, and it takes thousands to see through the noise of what was done."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no
     gradient passes (Andrychowicz 2017)."""
@@ -165,6 +168,7 @@ class BehaviourConfig:
             require(
                 getattr(self, name) >= 0, f"behaviour.{name}", "a number ≥ 0", getattr(self, name)
             )
+        require(self.extra >= 0, "behaviour.extra", "a number ≥ 0", self.extra)
         require_choice("behaviour.schedule", Schedule, self.schedule)
         ends = self.weight > 0 and self.final > 0
         require(

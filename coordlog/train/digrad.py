@@ -40,6 +40,14 @@ class Batch(NamedTuple):
     wanted: Tensor  # (B, n_u) action that it pulls towards
 
 
+class Examples(NamedTuple):
+    """B states, and what was done there."""
+
+    state: Tensor  # (B, n_x)
+    action: Tensor  # (B, n_u)
+    imitated: Tensor  # (B, 1) weight of the behaviour term
+
+
 class Update(NamedTuple):
     """What one update did, as tensors (reading one waits for the device).
 
@@ -167,6 +175,14 @@ class Learner:
         scale = self.config.reward_scale
         return Update(loss, q.mean(dim=(0, 1)) / scale, low / scale, high / scale, *self._last)
 
+    def imitate(self, examples: Examples, *, behaviour_weight: float, effort: float) -> None:
+        """One gradient step of the actor on the behaviour and effort terms alone."""
+        action: Tensor = self.actor(examples.state, training=True, generator=self.generator)
+        done = action.detach()
+        away = (done - examples.action) * examples.imitated
+        pull = (away * behaviour_weight + done * effort) * (2 / done.numel())
+        self._step_actor(action, [], pull)
+
     @torch.no_grad()
     def targets(self, batch: Batch) -> Tensor:
         """y_i = r_i + γ (1 - terminated) min_e Q'_ei(s', clip(μ'(s') + ε)), clipped to the bounds:
@@ -248,8 +264,8 @@ class Learner:
         sum over θ^μ.
         """
         self.actor_optimiser.zero_grad(set_to_none=True)
-        if self.config.gradient != "pcgrad":
-            action.backward(gradient=pull - torch.stack(ascents).sum(dim=0))  # type: ignore[no-untyped-call]
+        if self.config.gradient != "pcgrad" or not ascents:
+            action.backward(gradient=pull - sum(ascents, torch.zeros_like(pull)))  # type: ignore[no-untyped-call]
         else:
             parameters = tuple(self.actor.parameters())
             flat = [

@@ -256,16 +256,13 @@ class Trainer:
         self.steps += block.step.size
 
     def _update(self, count: int) -> None:
+        behaviour = self.settings.behaviour
         for _ in range(count):
             self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
-            weight = self.settings.behaviour.at(self.progress)
-            self._tally.add(
-                self.learner.update(
-                    self.replay.sample(self._rng),
-                    behaviour_weight=weight,
-                    effort=self.settings.behaviour.effort,
-                )
-            )
+            pull = {"behaviour_weight": behaviour.at(self.progress), "effort": behaviour.effort}
+            for _ in range(behaviour.extra if self.source is None else 0):
+                self.learner.imitate(self.replay.examples(self._rng), **pull)
+            self._tally.add(self.learner.update(self.replay.sample(self._rng), **pull))
 
     def _pause(self, before: int) -> Event | None:
         """Whatever is due between two rounds."""

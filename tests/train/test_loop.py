@@ -86,7 +86,11 @@ def stop_after(rows: int) -> Callable[[], bool]:
     return lambda: next(asked) >= rows
 
 
-KINDS = {"logs": (LOGS, True, False), "live": (LIVE, False, True), "both": (BOTH, True, True)}
+KINDS = {
+    "logs": ((*LOGS, "behaviour.extra=2"), True, False),
+    "live": (LIVE, False, True),
+    "both": (BOTH, True, True),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
