@@ -82,7 +82,7 @@ class Judge:
             window: Where evaluations are shown, if anywhere.
         """
         self._envs, self._run, self._window, self._folder = envs, run, window, folder
-        self._episodes = {prefix: elsewhere for prefix in envs} | {"": episodes}
+        self._episodes = dict.fromkeys(envs, elsewhere) | {"": episodes}
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float | str]:
         """Figures of merit after so many updates: those of `scoring.figures` per start pose, and
