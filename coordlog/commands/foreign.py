@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import catalogued
 from coordlog.errors import EXIT_INTERRUPTED, ConfigError, CoordlogError
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def record_environment(
                 f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: {error}"
             ) from error
     seconds = time.perf_counter() - began
+    catalogued(out, recorder.files)
     summary = {
         "run": recorder.run,
         "episodes": len(recorder.files),

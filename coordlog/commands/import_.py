@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import catalogued
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
@@ -200,6 +201,7 @@ def _import(
             bar.update(task, advance=1, note=f"{sum(len(each.paths) for each in done)} episodes")
             if interrupted:
                 break
+    catalogued(out, [path for each in done for path in each.paths])
     if as_json:
         terminal.print_json([_report(each) for each in done])
     else:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import gathered
 from coordlog.errors import EXIT_PARTIAL, FormatError
+from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
-    from coordlog.record.info import Row, Summary
+    from coordlog.catalog.summary import Row, Summary
 
 MANY = 40
 """Longer tables are shortened unless --all asks for every row."""
@@ -26,9 +28,10 @@ def info(
         bool,
         typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}."),
     ] = False,
+    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
     as_json: Annotated[bool, typer.Option("--json", help="Print rows and totals as JSON.")] = False,
 ) -> None:
-    """Show what episodes there are; reads the ends of each file, not its messages.
+    """Show what episodes there are: new and changed files are read, the catalogue knows the others.
 
     Examples:
 
@@ -36,10 +39,10 @@ def info(
 
         coordlog info logs/table-train-s0-000003-1f2e3d4c.mcap --json
     """
+    from coordlog.catalog.summary import summary as summed
     from coordlog.record.files import Files, nothing_found
-    from coordlog.record.info import summarise
 
-    summary = summarise(path)
+    summary = summed(gathered(path, jobs=jobs, tell=False))
     if not summary.rows:
         if len(path) == 1 and [item.path for item in summary.skipped] == path:
             raise FormatError(f"{path[0]}: {summary.skipped[0].reason}")

@@ -60,7 +60,7 @@ def pack(
             stop=lambda: bool(interrupted),
         )
     if catalogue and not interrupted:
-        left_out += [f"skipped: {each}" for each in gathered([out], jobs=jobs).left_out]
+        left_out += [f"skipped: {path}: {why}" for path, why in gathered([out], jobs=jobs).skipped]
     _tell(done, f"{out}: {done.files:,} episodes packed", as_json=as_json)
     _finish(bool(interrupted), left_out)
 

@@ -73,7 +73,7 @@ def query(
         terminal.print_json(_rows(table))
     else:
         _show(table)
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)
 
 

@@ -88,5 +88,5 @@ def select(
             highlight=False,
             markup=False,
         )
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import catalogued
 from coordlog.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ class Sink:
         """Finished episodes, under the addresses where they are now."""
         self.size = 0
         """bytes"""
+
+    @property
+    def paths(self) -> list[Path]:
+        """Where the finished episodes are now."""
+        return [item.path for item in self.done]
 
     def take(self, item: Finished) -> None:
         """Count a finished episode, and hand it on."""
@@ -50,11 +56,15 @@ def recording_into(out: Path, *, pack: bool) -> Iterator[Sink]:
     if pack and is_url(out):
         raise ConfigError(f"--pack: expected a folder, got {out}; copy the shards there afterwards")
     if not (pack or is_url(out) or is_pack(out)):
-        yield Sink(out, None)
+        sink = Sink(out, None)
+        yield sink
+        catalogued(out, sink.paths)
         return
     with Spool(store_of(out) if is_url(out) else PackStore(out)) as spool:
         for path in spool.published:
             terminal.note(f"published what an earlier recording had left: {path}")
         for path in spool.unfinished:
             terminal.note(f"unfinished: {path}; `coordlog recover` makes an episode of it")
-        yield Sink(spool.folder, spool)
+        sink = Sink(spool.folder, spool)
+        yield sink
+    catalogued(out, sink.paths)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import catalogued
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
 from coordlog.parallel import JOBS_HELP, SHARD_HELP
 from coordlog.parallel import shard as share
@@ -103,6 +104,8 @@ def smooth(
     began = time.perf_counter()
     rows, interrupted = _rows(batch, jobs)
     found = summary(rows, batch, settings, seconds=time.perf_counter() - began)
+    if not dry_run:
+        catalogued(out, [Path(row["target"]) for row in rows])
     if report is not None:
         _write_report(report, found)
     if as_json:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.asking import catalogued
 from coordlog.commands.logs import load_logs
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
@@ -231,6 +232,10 @@ def train(
         if not resume:
             _begin(folder, {**said, "recorder": run}, logs)
         outcome = trainer.run(resume=resume and _has_checkpoint(folder))
+    from coordlog.record.files import find_files
+
+    episodes = folder / "episodes"
+    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
     again = f" --scene {asked}" if ":" in asked else ""
     _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
 

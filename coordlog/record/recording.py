@@ -13,7 +13,14 @@ from coordlog.episode import INITIAL_STATE, Array, Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.contents import Contents, contents
 from coordlog.record.decoding import decode, require_header
-from coordlog.record.metadata import RESULT, decode_header, decode_result, vouched
+from coordlog.record.metadata import (
+    EPISODE,
+    RESULT,
+    decode_header,
+    decode_result,
+    require_version,
+    vouched,
+)
 from coordlog.record.opening import File, load, naming, no_marker, require_coordlog, rewritten_by
 from coordlog.record.reader import attachments, metadata
 
@@ -155,6 +162,7 @@ class Recording:
     def _metadata(self) -> dict[str, dict[str, str]]:
         found = metadata(self.data)
         require_header(found)
+        require_version(found[EPISODE])
         if RESULT not in found:
             raise TruncatedError(no_marker(len(self.data)))
         vouched(found)

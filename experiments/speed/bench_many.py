@@ -35,7 +35,7 @@ from coordlog.catalog.selection import Split, select
 from coordlog.parallel import mapped
 from coordlog.record import manifest
 from coordlog.record.addresses import fetch, name_within
-from coordlog.record.info import summarise
+from coordlog.catalog.summary import summarise
 from coordlog.record.pack_writer import PackWriter
 from coordlog.record.packs import Pack
 from coordlog.record.places import Folder

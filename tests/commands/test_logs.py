@@ -6,17 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from coordlog.commands.logs import matching
+from coordlog.commands.asking import chosen
 from coordlog.errors import ConfigError
-from coordlog.record.cache import Logs, load
 
 FILES = sorted((Path(__file__).parents[1] / "data" / "v1" / "table").glob("*.mcap"))
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
-    folder = tmp_path_factory.mktemp("cache")
-    return load(FILES, folder, run=lambda build, groups: map(build, groups))
 
 
 @pytest.mark.parametrize(
@@ -33,8 +26,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
         ("returns[1] > -1e9", [0, 1, 2]),
     ],
 )
-def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -> None:
-    assert matching(logs, where) == rows
+def test_a_condition_chooses_episodes(where: str, rows: list[int]) -> None:
+    assert chosen(FILES, where).paths == tuple(FILES[row] for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +59,6 @@ def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -
         "\0",
     ],
 )
-def test_whatever_is_more_than_a_condition_is_refused(logs: Logs, where: str) -> None:
-    with pytest.raises(ConfigError, match="--where: expected an SQL condition over length"):
-        matching(logs, where)
+def test_whatever_is_more_than_a_condition_is_refused(where: str) -> None:
+    with pytest.raises(ConfigError, match="--where: expected an SQL condition over path"):
+        chosen(FILES, where or " ")

@@ -1,18 +1,17 @@
-"""What a folder of logs holds, from the two ends of each file: one row per episode, and totals."""
+"""What a folder of logs holds, as its catalogue says: one row per episode, and totals."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from coordlog.catalog.gather import Gathered, gather
+from coordlog.catalog.index import Run, serial
 from coordlog.episode import Json
-from coordlog.errors import FormatError, StorageError
-from coordlog.record.files import Skipped, find_files, reason_of
-from coordlog.record.opening import File
-from coordlog.record.reader import read_summary
+from coordlog.record.files import Skipped
 
 
 @dataclass(frozen=True)
@@ -81,54 +80,46 @@ class Summary:
         }
 
 
-def summarise(path_or_paths: File | Iterable[File]) -> Summary:
-    """Summarise files and folders without decoding a message; a broken file becomes an entry of
+def summarise(paths: Iterable[str | os.PathLike[str]], *, run: Run = serial) -> Summary:
+    """Summarise folders, packs, stores, manifests and files; a broken file becomes an entry of
     `skipped`.
+
+    Args:
+        paths: What to look at.
+        run: Maps over groups of files that no catalogue describes yet.
 
     Raises:
         StorageError: if a path does not exist, or the only one cannot be read.
     """
-    files = find_files(path_or_paths)
-    rows: list[Row] = []
-    skipped: list[Skipped] = list(files.skipped)
-    for path in files.paths:
-        try:
-            rows.append(row(path))
-        except (FormatError, StorageError) as error:
-            skipped.append(Skipped(path, reason_of(path, error)))
-    return Summary(tuple(rows), _totals(rows), tuple(skipped), files.parts, files.others)
+    return summary(gather(paths, run=run))
 
 
-def row(path: File) -> Row:
-    """Summarise one episode.
-
-    Raises:
-        FormatError: if the file is not a finished episode.
-    """
-    header, result, size = read_summary(path)
-    episode, policy, lineage = header.episode, header.policy, header.lineage
-    return Row(
-        path=os.fspath(path),
-        robot=str(episode.get("robot", "")),
-        scene=str(episode.get("scene", "")),
-        split=str(episode.get("split", "")),
-        seed=episode.get("seed"),
-        policy=str(policy.get("name") or policy.get("kind", "")),
-        length=result.length,
-        duration=result.length * float(episode.get("control_period", 0.0)),
-        returns=dict(zip(header.arms, result.returns, strict=False)),
-        success=result.success,
-        clean=result.clean,
-        terminated=result.terminated,
-        truncated=result.truncated,
-        aborted=result.aborted,
-        transform=str(lineage.get("transform", "")),
-        parents=tuple(map(str, lineage.get("parents") or ())),
-        size=size,
+def summary(found: Gathered) -> Summary:
+    """What was gathered, as rows and totals."""
+    names = [name for name in _COLUMNS if name != "arms"]
+    table = found.episodes().select(_COLUMNS)
+    arms, returns = (table.column(name).to_pylist() for name in ("arms", "returns"))
+    columns = {name: table.column(name).to_pylist() for name in names}
+    for name in _TEXTS:
+        columns[name] = [text or "" for text in columns[name]]
+    columns["parents"] = list(map(tuple, columns["parents"]))
+    columns["returns"] = [
+        dict(zip(names or (), values, strict=False))
+        for names, values in zip(arms, returns, strict=True)
+    ]
+    rows = tuple(
+        Row(**dict(zip(columns, values, strict=True)))
+        for values in zip(*columns.values(), strict=True)
     )
+    others = tuple(sorted(found.others.items()))
+    return Summary(rows, _totals(rows), tuple(found.skipped), tuple(found.parts), others)
 
 
-def _totals(rows: list[Row]) -> Totals:
+_COLUMNS = ("arms", *(item.name for item in fields(Row)))
+_TEXTS = ("robot", "scene", "split", "policy", "aborted", "transform")
+
+
+def _totals(rows: Sequence[Row]) -> Totals:
     return Totals(
         episodes=len(rows),
         steps=sum(row.length for row in rows),
