@@ -47,6 +47,8 @@ _PREFIX = {
     "publish_time": "<u8",
 }
 PREFIX_SIZE = 31
+_PREFIX_BYTES = np.arange(PREFIX_SIZE)
+_HEAD_DTYPE = np.dtype([*_PREFIX.items()])
 
 _local = threading.local()
 
@@ -57,6 +59,20 @@ class Batch(NamedTuple):
     channel: int
     log_time: Array  # (n,) uint64, ns
     records: Sequence[bytes | memoryview]
+
+
+class Head(NamedTuple):
+    """What stands before the compressed bytes of a chunk record."""
+
+    start: int
+    """log time of the first message"""
+    end: int
+    size: int
+    """uncompressed"""
+    crc: int
+    """of the uncompressed bytes; 0 if none was written"""
+    compression: bytes
+    packed: memoryview
 
 
 class Chunk(NamedTuple):
@@ -166,6 +182,25 @@ def _message_index(batches: Sequence[Batch], offsets: Array) -> tuple[bytes, dic
     return bytes(index), index_offset
 
 
+def unpack_head(content: memoryview) -> Head:
+    """A chunk record (given without opcode and length), not expanded yet.
+
+    Raises:
+        FormatError: if the record is not well formed.
+    """
+    try:
+        start, end, size, crc = _CHUNK_HEAD.unpack_from(content)
+        (name_length,) = struct.unpack_from("<I", content, _CHUNK_HEAD.size)
+        at = _CHUNK_HEAD.size + 4 + name_length
+        (stored,) = struct.unpack_from("<Q", content, at)
+    except struct.error as error:
+        raise FormatError(f"chunk: cannot be expanded: {error}") from None
+    packed = content[at + 8 :]
+    if stored != len(packed):
+        raise FormatError(f"chunk: expected {len(packed)} bytes, got {stored}")
+    return Head(start, end, size, crc, bytes(content[_CHUNK_HEAD.size + 4 : at]), packed)
+
+
 def uncompressed_size(content: memoryview) -> int:
     """What a chunk record says that it expands to [bytes].
 
@@ -189,29 +224,22 @@ def expand(content: memoryview, *, verify: bool = True, room: int = MAX_CHUNK) -
     Raises:
         FormatError: if it cannot be expanded, is larger than `room`, or its CRC differs.
     """
-    try:
-        _, _, size, crc = _CHUNK_HEAD.unpack_from(content)
-        (name_length,) = struct.unpack_from("<I", content, _CHUNK_HEAD.size)
-        at = _CHUNK_HEAD.size + 4 + name_length
-        compression, (stored,) = (
-            bytes(content[_CHUNK_HEAD.size + 4 : at]),
-            struct.unpack_from("<Q", content, at),
+    head = unpack_head(content)
+    if head.size > room:
+        raise FormatError(
+            f"chunk: says that it expands to {head.size} bytes, more than the {room} that are "
+            "left for a file of this size"
         )
-        packed = content[at + 8 :]
-        if stored != len(packed):
-            raise FormatError(f"chunk: expected {len(packed)} bytes, got {stored}")
-        if size > room:
-            raise FormatError(
-                f"chunk: says that it expands to {size} bytes, more than the {room} that are "
-                "left for a file of this size"
-            )
-        data = _expanded(compression, packed, size)
-    except (struct.error, zstandard.ZstdError, RuntimeError) as error:
+    try:
+        data = _expanded(head.compression, head.packed, head.size)
+    except (zstandard.ZstdError, RuntimeError) as error:
         raise FormatError(f"chunk: cannot be expanded: {error}") from None
-    if len(data) != size:
-        raise FormatError(f"chunk: expected {size} bytes uncompressed, got {len(data)} or more")
-    if verify and crc and zlib.crc32(data) != crc:
-        raise FormatError(f"chunk: expected CRC {crc:08x}, got {zlib.crc32(data):08x}")
+    if len(data) != head.size:
+        raise FormatError(
+            f"chunk: expected {head.size} bytes uncompressed, got {len(data)} or more"
+        )
+    if verify and head.crc and zlib.crc32(data) != head.crc:
+        raise FormatError(f"chunk: expected CRC {head.crc:08x}, got {zlib.crc32(data):08x}")
     return data
 
 
@@ -302,6 +330,42 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
         )
     size = RECORD_HEAD.size + length
     return channel, [data[at : at + size] for at in offsets]
+
+
+def tiled(data: bytes, start: int, indexes: Sequence[memoryview]) -> Array | None:
+    """Log times (n,) of the messages of an expanded chunk, in their order, if the message indexes
+    say of each where it is, whose it is and when it was logged, and the messages fill the chunk
+    from `start` on; else None.
+    """
+    if any((len(index) - 6) % _INDEX_ENTRY.itemsize for index in indexes):
+        return None
+    entries = [np.frombuffer(index[6:], _INDEX_ENTRY) for index in indexes]
+    sizes = [len(each) for each in entries]
+    channels, said = zip(*(struct.unpack_from("<HI", index) for index in indexes), strict=True)
+    if list(said) != [len(index) - 6 for index in indexes] or len({*channels}) < len(channels):
+        return None
+    found = np.concatenate(entries)
+    if not len(found) or int(found["offset"].max()) > len(data) - PREFIX_SIZE:
+        return None
+    offsets = found["offset"].astype(np.int64)
+    rank = np.repeat(np.arange(len(sizes)) * len(data), sizes)
+    if (np.diff(offsets + rank) <= 0).any():  # each index in the order of its messages
+        return None
+    order = np.argsort(offsets)
+    begin = offsets[order]
+    heads = np.frombuffer(data, np.uint8)[begin[:, None] + _PREFIX_BYTES].view(_HEAD_DTYPE)[:, 0]
+    ends = begin + RECORD_HEAD.size + heads["length"].astype(np.int64)
+    times = found["log_time"][order]
+    agree = (
+        begin[0] == start
+        and ends[-1] == len(data)
+        and np.array_equal(ends[:-1], begin[1:])
+        and (heads["opcode"] == Opcode.MESSAGE).all()
+        and (heads["length"] >= PREFIX_SIZE - RECORD_HEAD.size).all()
+        and np.array_equal(heads["channel"], np.repeat(np.array(channels, "<u2"), sizes)[order])
+        and np.array_equal(heads["log_time"], times)
+    )
+    return times if agree else None
 
 
 def _string(value: str) -> bytes:

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
-from coordlog.record.contents import Contents, contents
+from coordlog.record.contents import Contents, contents, require_room
 from coordlog.record.decoding import decode
 from coordlog.record.messages import Encoder
 from coordlog.record.opening import File, is_own, load, rewritten_by, summary_start
@@ -77,14 +77,15 @@ def rewritten(path: File) -> str:
 
 def _file(data: bytes) -> list[Problem]:
     try:
-        if not is_own(data):
+        spans = list(walk(data))
+        if not is_own(data, spans):
             return list(_foreign(data))
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         found = list(_checksums(data, start))
         if not found:
-            decode(contents(data))
-            attachments(data)
-            found = list(structure(data, start))
+            before = [span for span in spans if span.end <= start]
+            require_room(memoryview(data), before)
+            found = list(structure(data, start, before))
     except FormatError as error:
         return [Problem(None, "file", "a finished episode", str(error))]
     return found

@@ -13,11 +13,11 @@ from coordlog.catalog.gather import gather
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.query import ask
 from coordlog.catalog.selection import select
+from coordlog.catalog.summary import summarise
 from coordlog.errors import StorageError
 from coordlog.record import manifest
 from coordlog.record.dataset import find_files
 from coordlog.record.dataset import open as open_logs
-from coordlog.catalog.summary import summarise
 from coordlog.record.reader import read_header
 from coordlog.record.spool import Spool
 from coordlog.record.store import LocalStore, ObjectStore, PackStore, Store, store_of
