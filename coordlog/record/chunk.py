@@ -47,8 +47,9 @@ _PREFIX = {
     "publish_time": "<u8",
 }
 PREFIX_SIZE = 31
-_PREFIX_BYTES = np.arange(PREFIX_SIZE)
 _HEAD_DTYPE = np.dtype([*_PREFIX.items()])
+_OPENING = np.dtype([("channel", "<u2"), ("size", "<u4")])
+"""How a message index begins: entries follow."""
 
 _local = threading.local()
 
@@ -73,6 +74,16 @@ class Head(NamedTuple):
     """of the uncompressed bytes; 0 if none was written"""
     compression: bytes
     packed: memoryview
+
+
+class Expanded(NamedTuple):
+    """A chunk as it is read: its head, its content, and the message indexes that follow it."""
+
+    head: Head
+    data: bytes
+    start: int
+    """where the messages begin, after the definitions"""
+    indexes: list[memoryview]
 
 
 class Chunk(NamedTuple):
@@ -332,40 +343,58 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
     return channel, [data[at : at + size] for at in offsets]
 
 
-def tiled(data: bytes, start: int, indexes: Sequence[memoryview]) -> Array | None:
-    """Log times (n,) of the messages of an expanded chunk, in their order, if the message indexes
-    say of each where it is, whose it is and when it was logged, and the messages fill the chunk
-    from `start` on; else None.
+def tiled(chunks: Sequence[Expanded]) -> bool:
+    """Whether the message indexes of some chunks say of each message where it is, whose it is and
+    when it was logged, and the messages fill each chunk in the order of the log times that its head
+    has: all of them at once. Of a chunk without messages, or in which definitions stand between
+    messages, that is not said.
     """
-    if any((len(index) - 6) % _INDEX_ENTRY.itemsize for index in indexes):
-        return None
-    entries = [np.frombuffer(index[6:], _INDEX_ENTRY) for index in indexes]
-    sizes = [len(each) for each in entries]
-    channels, said = zip(*(struct.unpack_from("<HI", index) for index in indexes), strict=True)
-    if list(said) != [len(index) - 6 for index in indexes] or len({*channels}) < len(channels):
-        return None
-    found = np.concatenate(entries)
-    if not len(found) or int(found["offset"].max()) > len(data) - PREFIX_SIZE:
-        return None
-    offsets = found["offset"].astype(np.int64)
-    rank = np.repeat(np.arange(len(sizes)) * len(data), sizes)
+    indexes = [index for chunk in chunks for index in chunk.indexes]
+    if not all(chunk.indexes for chunk in chunks) or min(map(len, indexes)) < _OPENING.itemsize:
+        return False
+    head = np.frombuffer(b"".join(index[: _OPENING.itemsize] for index in indexes), _OPENING)
+    sizes = np.array([len(index) - _OPENING.itemsize for index in indexes])
+    whose = np.repeat(np.arange(len(chunks)), [len(chunk.indexes) for chunk in chunks])
+    pairs = set(zip(whose.tolist(), head["channel"].tolist(), strict=True))
+    if (sizes != head["size"]).any() or (sizes % _INDEX_ENTRY.itemsize).any():
+        return False
+    if len(pairs) < len(indexes):
+        return False
+    entries = np.frombuffer(b"".join(index[_OPENING.itemsize :] for index in indexes), _INDEX_ENTRY)
+    counts = sizes // _INDEX_ENTRY.itemsize
+    lengths = np.array([len(chunk.data) for chunk in chunks])
+    of = np.repeat(whose, counts)  # the chunk of each message
+    if not np.bincount(of, minlength=len(chunks)).all():
+        return False
+    if (entries["offset"] > np.maximum(lengths - PREFIX_SIZE, 0).astype("<u8")[of]).any():
+        return False
+    bases = np.cumsum(lengths) - lengths
+    offsets = entries["offset"].astype(np.int64) + bases[of]
+    rank = np.repeat(np.arange(len(indexes)), counts) * int(lengths.sum())
     if (np.diff(offsets + rank) <= 0).any():  # each index in the order of its messages
-        return None
+        return False
     order = np.argsort(offsets)
-    begin = offsets[order]
-    heads = np.frombuffer(data, np.uint8)[begin[:, None] + _PREFIX_BYTES].view(_HEAD_DTYPE)[:, 0]
-    ends = begin + RECORD_HEAD.size + heads["length"].astype(np.int64)
-    times = found["log_time"][order]
-    agree = (
-        begin[0] == start
-        and ends[-1] == len(data)
-        and np.array_equal(ends[:-1], begin[1:])
+    begin, of, times = offsets[order], of[order], entries["log_time"][order]
+    data = b"".join(chunk.data for chunk in chunks)
+    every = len(data) - PREFIX_SIZE + 1  # a head at each byte, of which those are taken
+    heads = np.ndarray((every,), _HEAD_DTYPE, data, strides=(1,))[begin]
+    last = np.append(np.flatnonzero(np.diff(of)), len(of) - 1)
+    first = np.append(0, last[:-1] + 1)
+    ends = np.append(begin[1:], len(data))
+    ends[last] = bases + lengths
+    late = np.diff(times.astype(np.int64)) < 0
+    late[last[:-1]] = False
+    return bool(
+        np.array_equal(begin[first], bases + [chunk.start for chunk in chunks])
+        and np.array_equal(begin + RECORD_HEAD.size + heads["length"].astype(np.int64), ends)
         and (heads["opcode"] == Opcode.MESSAGE).all()
         and (heads["length"] >= PREFIX_SIZE - RECORD_HEAD.size).all()
-        and np.array_equal(heads["channel"], np.repeat(np.array(channels, "<u2"), sizes)[order])
+        and np.array_equal(heads["channel"], np.repeat(head["channel"], counts)[order])
         and np.array_equal(heads["log_time"], times)
+        and not late.any()
+        and times[first].tolist() == [chunk.head.start for chunk in chunks]
+        and times[last].tolist() == [chunk.head.end for chunk in chunks]
     )
-    return times if agree else None
 
 
 def _string(value: str) -> bytes:

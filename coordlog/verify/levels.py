@@ -8,6 +8,7 @@ from typing import NamedTuple
 from coordlog.config import build
 from coordlog.episode import Array, Json
 from coordlog.errors import StorageError
+from coordlog.record.recording import Recording
 from coordlog.verify.finding import Finding
 
 LEVELS = ("file", "content", "replay")
@@ -41,22 +42,27 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
     """
     from coordlog.verify.file import check as check_one
     from coordlog.verify.file import rewritten
+    from coordlog.verify.observed import judged
 
     findings: list[Finding] = []
     notes: list[str] = []
+    observed: dict[str, str] = {}
     for path in paths:
+        recording = Recording(path)
         try:
             found = check_one(
-                path, level="file" if level == "file" else "content", rewards=logged_rewards
+                recording, level="file" if level == "file" else "content", rewards=logged_rewards
             )
             findings += found
-            if not found and (note := rewritten(path)):
+            if not found and (note := rewritten(recording)):
                 notes.append(f"{path}: {note}")
+            if not found and level != "replay" and recording.observed:
+                observed[str(path)] = judged(recording)
         except StorageError as error:  # it could be read a moment ago
             said = str(error).removeprefix(f"{path}: ")
             findings.append(Finding(str(path), "file", None, "file", "a readable file", said))
     if level != "replay":
-        return Checked(findings, _observed(paths, findings), len(paths), 0, tuple(notes))
+        return Checked(findings, observed, len(paths), 0, tuple(notes))
     from coordlog.verify.physics import check_replay
     from coordlog.verify.trial import runnable
 
@@ -67,15 +73,6 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
     replays = check_replay([path for path in paths if str(path) not in damaged])
     findings += replays.findings
     return Checked(findings, replays.inexact, len(paths), replays.steps, tuple(notes))
-
-
-def _observed(paths: list[Path], findings: list[Finding]) -> dict[str, str]:
-    """What is to be said of the episodes that came from outside."""
-    from coordlog.verify.observed import judged
-
-    damaged = {item.path for item in findings}
-    said = {str(path): judged(path) for path in paths if str(path) not in damaged}
-    return {path: text for path, text in said.items() if text}
 
 
 def logged_rewards(

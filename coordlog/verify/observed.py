@@ -21,13 +21,13 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 UNPROVEN = "physics, torques and balance cannot be proven"
 
 
-def judged(path: File) -> str:
+def judged(source: File | Recording) -> str:
     """One sentence about an observed episode; "" for one that was simulated.
 
     Raises:
         FormatError: if the file is no finished episode.
     """
-    recording = Recording(path)
+    recording = source if isinstance(source, Recording) else Recording(source)
     if recording.header.kind != "observed":
         return ""
     said = [_speeds(recording.episode)]

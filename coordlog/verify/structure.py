@@ -30,7 +30,7 @@ from mcap.records import (
 )
 
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.record.chunk import Head, definitions, expand, tiled, unpack_head
+from coordlog.record.chunk import Expanded, definitions, expand, tiled, unpack_head
 from coordlog.record.container import summary_of
 from coordlog.record.decoding import require_header
 from coordlog.record.metadata import (
@@ -59,6 +59,8 @@ from coordlog.verify.finding import Problem
 
 _TIMES, _SIZE = struct.Struct("<QQ"), struct.Struct("<I")
 """How an attachment record begins, and a string in it."""
+TOGETHER = 1 << 24
+"""Bytes of expanded chunks that are looked at together."""
 
 _KINDS: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
@@ -127,8 +129,7 @@ class _Ledger:
         self._digests: dict[str, str] = {}
         self._metadata: list[MetadataIndex] = []
         self._records: dict[str, Mapping[str, str]] = {}
-        self._open: tuple[Head, bytes] | None = None  # the chunk whose indexes are being read
-        self._indexes: list[memoryview] = []
+        self._expanded: list[Expanded] = []  # chunks that wait to be looked at together
 
     def read(self, spans: Sequence[Span]) -> Iterator[Problem]:
         """Go through the records of the data section."""
@@ -145,8 +146,9 @@ class _Ledger:
             elif span.opcode == Opcode.ATTACHMENT:
                 self._attachment(span, offset, length)
             elif span.opcode == Opcode.CHUNK:
-                yield from self._close()
-                self._chunk(span, offset, length)
+                if sum(len(chunk.data) for chunk in self._expanded) > TOGETHER:
+                    yield from self._close()
+                yield from self._chunk(span, offset, length)
         yield from self._close()
         names = [index.name for index in self._metadata]
         if names != [*HEADER_RECORDS, RESULT] or last != Opcode.DATA_END:
@@ -220,10 +222,12 @@ class _Ledger:
             )
         )
 
-    def _chunk(self, span: Span, offset: int, length: int) -> None:
+    def _chunk(self, span: Span, offset: int, length: int) -> Iterator[Problem]:
         content = self._view[span.start : span.end]
-        head = unpack_head(content)
-        self._open, self._indexes = (head, expand(content)), []
+        head, data = unpack_head(content), expand(content)
+        start = definitions(data)
+        yield from self._define(start)
+        self._expanded.append(Expanded(head, data, len(start), []))
         self._chunks.append(
             ChunkIndex(
                 chunk_length=length,
@@ -240,46 +244,48 @@ class _Ledger:
 
     def _index(self, span: Span, offset: int, length: int) -> None:
         content = self._view[span.start : span.end]
-        self._indexes.append(content)
-        if self._chunks and len(content) >= 2:
+        if self._expanded and len(content) >= 2:
+            self._expanded[-1].indexes.append(content)
             channel = int.from_bytes(content[:2], "little")
             self._chunks[-1].message_index_offsets[channel] = offset
             self._chunks[-1].message_index_length += length
 
     def _close(self) -> Iterator[Problem]:
-        """Hold the chunk before, its indexes and its head to one another."""
-        if self._open is None:
+        """Hold the chunks before, their indexes and their heads to one another."""
+        chunks, self._expanded = self._expanded, []
+        if not chunks:
             return
-        (head, data), self._open = self._open, None
-        start = definitions(data)
-        yield from self._define(start)
-        times = tiled(data, len(start), self._indexes) if self._indexes else None
-        if times is None:  # rare: find out what it is
-            found, said = yield from self._messages(data)
-            yield from self._unlike(found)
-        else:
-            said = times.tolist()
-            for index in self._indexes:
-                channel, count = int.from_bytes(index[:2], "little"), (len(index) - 6) // 16
-                self._counts[channel] = self._counts.get(channel, 0) + count
+        if not tiled(chunks):
+            for chunk in chunks:  # rare: find out what it is, one message after the other
+                yield from self._explained(chunk)
+            return
+        for index in (index for chunk in chunks for index in chunk.indexes):
+            channel, count = int.from_bytes(index[:2], "little"), (len(index) - 6) // 16
+            self._counts[channel] = self._counts.get(channel, 0) + count
+
+    def _explained(self, chunk: Expanded) -> Iterator[Problem]:
+        """What does not fit in one chunk, its indexes and its head."""
+        found, said = yield from self._messages(chunk)
+        yield from _unlike(chunk.indexes, found)
         wanted = (min(said, default=0), max(said, default=0))
-        if (head.start, head.end) != wanted or said != sorted(said):
+        if (chunk.head.start, chunk.head.end) != wanted or said != sorted(said):
             yield Problem(
                 None,
                 "chunk",
                 f"messages in order of log time, from {wanted[0]} to {wanted[1]}",
-                f"from {head.start} to {head.end}",
+                f"from {chunk.head.start} to {chunk.head.end}",
             )
 
     def _messages(
-        self, data: bytes
+        self, chunk: Expanded
     ) -> Generator[Problem, None, tuple[dict[int, list[tuple[int, int]]], list[int]]]:
         """Log time and offset of each message of a chunk by channel, and all log times, read one
         after the other.
         """
         found: dict[int, list[tuple[int, int]]] = {}
         times = []
-        for inner in walk(data, 0):
+        data = chunk.data
+        for inner in walk(data, chunk.start):
             if inner.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 yield from self._define(data[inner.start - RECORD_HEAD.size : inner.end])
             else:
@@ -290,18 +296,6 @@ class _Ledger:
         for channel, entries in found.items():
             self._counts[channel] = self._counts.get(channel, 0) + len(entries)
         return found, times
-
-    def _unlike(self, found: dict[int, list[tuple[int, int]]]) -> Iterator[Problem]:
-        """Message indexes that do not say what is in their chunk."""
-        for content in self._indexes:
-            index = MessageIndex.read(ReadDataStream(BytesIO(content)))
-            wanted = found.pop(index.channel_id, [])
-            if index.records != wanted:
-                name = f"message index of channel {index.channel_id}"
-                yield Problem(None, name, f"{wanted}", f"{index.records}")
-        for channel in found:
-            name = f"message index of channel {channel}"
-            yield Problem(None, name, "one after its chunk", "none")
 
     def _define(self, records: bytes) -> Iterator[Problem]:
         for opcode, packed in zip(self.defined, _raw(records), strict=True):
@@ -320,6 +314,21 @@ class _Ledger:
             if encoding != MESSAGE_ENCODING or schema_id not in self._schemas:
                 wanted = f"{MESSAGE_ENCODING}, and its schema before it"
                 yield Problem(None, f"channel {channel.topic}", wanted, f"{channel}")
+
+
+def _unlike(
+    indexes: Sequence[memoryview], found: dict[int, list[tuple[int, int]]]
+) -> Iterator[Problem]:
+    """Message indexes that do not say what is in their chunk."""
+    for content in indexes:
+        index = MessageIndex.read(ReadDataStream(BytesIO(content)))
+        wanted = found.pop(index.channel_id, [])
+        if index.records != wanted:
+            name = f"message index of channel {index.channel_id}"
+            yield Problem(None, name, f"{wanted}", f"{index.records}")
+    for channel in found:
+        name = f"message index of channel {channel}"
+        yield Problem(None, name, "one after its chunk", "none")
 
 
 @lru_cache(maxsize=256)
