@@ -116,7 +116,7 @@ def _files(paths: Sequence[Path], found: Gathered, *, run: Run) -> None:
     alone: list[Entry] = []
     within: dict[str, list[Entry]] = {}
     for path in here.paths:
-        stamp = here.stamps.get(path) or size_and_time(path)
+        stamp = here.stamps.get(os.fspath(path)) or size_and_time(path)
         if stamp is None:
             raise StorageError(f"{path}: no such file")
         if len(here.paths) <= FEW or is_elsewhere(path):

@@ -108,8 +108,10 @@ class Catalog:
 
     def source(self) -> pa.Table | Path:
         """The rows for a query that looks at a few columns: a table, or the file of a compact
-        catalogue of this machine.
+        catalogue of this machine that nobody has read yet.
         """
+        if self._rows is not None:
+            return self._rows
         parts = self.parts()
         if len(parts) == 1 and isinstance(self._place, Folder):
             path = self._place.path / parts[0]

@@ -160,7 +160,7 @@ def _quoted(text: str) -> str:
 
 def _said(error: Exception) -> str:
     """The first line of what DuckDB said."""
-    return str(error).splitlines()[0]
+    return (str(error).splitlines() or ["it cannot be parsed"])[0]
 
 
 class StepStream:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from coordlog.catalog.gather import Gathered, gather
 from coordlog.catalog.index import Run, serial
@@ -14,8 +15,7 @@ from coordlog.episode import Json
 from coordlog.record.files import Skipped
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One episode."""
 
     path: str
@@ -73,7 +73,7 @@ class Summary:
     def to_json(self) -> Json:
         """As plain JSON values."""
         return {
-            "episodes": [asdict(row) for row in self.rows],
+            "episodes": [row._asdict() for row in self.rows],
             "totals": asdict(self.totals),
             "skipped": [{"path": str(path), "reason": reason} for path, reason in self.skipped],
             "parts": [str(path) for path in self.parts],
@@ -96,10 +96,9 @@ def summarise(paths: Iterable[str | os.PathLike[str]], *, run: Run = serial) -> 
 
 def summary(found: Gathered) -> Summary:
     """What was gathered, as rows and totals."""
-    names = [name for name in _COLUMNS if name != "arms"]
     table = found.episodes().select(_COLUMNS)
     arms, returns = (table.column(name).to_pylist() for name in ("arms", "returns"))
-    columns = {name: table.column(name).to_pylist() for name in names}
+    columns = {name: table.column(name).to_pylist() for name in Row._fields}
     for name in _TEXTS:
         columns[name] = [text or "" for text in columns[name]]
     columns["parents"] = list(map(tuple, columns["parents"]))
@@ -107,15 +106,12 @@ def summary(found: Gathered) -> Summary:
         dict(zip(names or (), values, strict=False))
         for names, values in zip(arms, returns, strict=True)
     ]
-    rows = tuple(
-        Row(**dict(zip(columns, values, strict=True)))
-        for values in zip(*columns.values(), strict=True)
-    )
+    rows = tuple(map(Row, *(columns[name] for name in Row._fields)))
     others = tuple(sorted(found.others.items()))
     return Summary(rows, _totals(rows), tuple(found.skipped), tuple(found.parts), others)
 
 
-_COLUMNS = ("arms", *(item.name for item in fields(Row)))
+_COLUMNS = ("arms", *Row._fields)
 _TEXTS = ("robot", "scene", "split", "policy", "aborted", "transform")
 
 

@@ -48,8 +48,8 @@ class Files(NamedTuple):
     skipped: tuple[Skipped, ...] = ()
     others: tuple[tuple[str, int], ...] = ()
     """Kinds of logs of other programs that lie there, and how many of each."""
-    stamps: Mapping[Path, tuple[int, int]] = MappingProxyType({})
-    """Size and mtime [ns] of the files of this machine, as the walk met them."""
+    stamps: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    """Size and mtime [ns] of the files of this machine, as the walk met them, by path."""
 
 
 def find_files(path_or_paths: File | Iterable[File]) -> Files:
@@ -170,7 +170,7 @@ class _Walk:
     parts: list[Path] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     others: Counter[str] = field(default_factory=Counter)
-    stamps: dict[Path, tuple[int, int]] = field(default_factory=dict)
+    stamps: dict[str, tuple[int, int]] = field(default_factory=dict)
     _paths: list[Path] = field(default_factory=list)
     _seen: set[tuple[int, int]] = field(default_factory=set)
 
@@ -248,7 +248,7 @@ class _Walk:
 
     def _take(self, path: Path, status: os.stat_result) -> None:
         self._paths.append(path)
-        self.stamps[path] = (status.st_size, status.st_mtime_ns)
+        self.stamps[os.fspath(path)] = (status.st_size, status.st_mtime_ns)
 
     def skip(self, path: Path, reason: str) -> None:
         """Leave something out, and remember why."""

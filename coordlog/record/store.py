@@ -88,7 +88,8 @@ class LocalStore(Store):
     def entries(self, files: Files) -> list[Entry]:
         """What a walk over the folder found, as entries."""
         start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
-        return [Entry(os.fspath(path)[start:], *files.stamps[path]) for path in files.paths]
+        names = map(os.fspath, files.paths)
+        return [Entry(name[start:], *files.stamps[name]) for name in names]
 
     def path(self, name: str) -> Path:
         """The path of an episode."""
