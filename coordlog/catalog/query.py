@@ -130,13 +130,13 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
         selects.append(f"select {', '.join(columns)} from {text} {sound}")
     whole = " union all ".join(selects)
     more = ", ".join(f"{how} as {name}" for name, how in WORKED_OUT.items())
-    all_of_them = f"select *, {more} from ({whole})"
+    whole = f"select *, {more} from ({whole})"
+    connection.execute(f"create view episodes as {whole}")
     if where:
-        _require_where(connection, where, all_of_them)
-    condition = f"where ({where}\n)" if where else ""
-    text = f"select * from ({all_of_them}) {condition}"
+        require_condition(connection, where)
+        whole = f"select * from ({whole}) where ({where}\n)"
     connection.execute(
-        f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
+        f"create or replace view episodes as select row_number() over () - 1 as row, * from ({whole})"
     )
 
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import chosen
+from coordlog.commands.options import Episodes, Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,9 +20,7 @@ if TYPE_CHECKING:
 
 
 def export(
-    path: Annotated[
-        list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")
-    ],
+    path: Episodes,
     to: Annotated[
         str,
         typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
@@ -49,12 +46,12 @@ def export(
             metavar="SOURCE",
         ),
     ] = None,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    jobs: Jobs = "0",
     skip_broken: Annotated[
-        bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
+        bool, flag("--skip-broken", "Leave out files that are damaged, and name them.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is at --out.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    force: Annotated[bool, flag("--force", "Replace what is at --out.")] = False,
+    as_json: Annotated[bool, json_flag("what was done")] = False,
 ) -> None:
     """Write episodes as a LeRobot, Minari or robomimic data set, ROS 2 bags, Parquet or CSV.
 
@@ -69,6 +66,7 @@ def export(
 
         coordlog export logs/ --to minari --out minari/
     """
+    from coordlog.catalog.asking import chosen
     from coordlog.exchange.blocks import Options, format_of
     from coordlog.exchange.blocks import export as write
     from coordlog.exchange.source import entries
@@ -78,7 +76,8 @@ def export(
     format_of(to)
     width, height = _size(size)
     options = Options(to, tuple(camera or ()), width, height, storage)
-    asked = chosen(path, where, jobs=jobs) if where else path
+    watcher = terminal.Watcher()
+    asked = chosen(path, where, jobs=jobs, monitor=watcher) if where else path
     found, skipped = entries(asked, skip_broken=skip_broken)
     with terminal.progress() as bar:
         task = bar.add_task(f"exporting to {to}", total=len(found), note="")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import catalogued
 from coordlog.errors import EXIT_INTERRUPTED, ConfigError, CoordlogError
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ def record_environment(
         ConfigError: if there is no such environment, or it is not on MuJoCo.
         SimulationError: at the first step that cannot be replayed.
     """
+    from coordlog.catalog.asking import catalogued
     from coordlog.policies.foreign import load
     from coordlog.record.foreign import record_env
 

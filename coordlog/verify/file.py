@@ -29,7 +29,7 @@ from coordlog.verify.bitflip import locate
 from coordlog.verify.damage import damages
 from coordlog.verify.finding import Finding, Problem
 from coordlog.verify.structure import structure
-from coordlog.verify.values import Rewards, content
+from coordlog.verify.values import content
 
 LEVELS = ("file", "content")
 
@@ -39,14 +39,13 @@ _RECORDED = _COMPARED + 4
 """The same of a message that another tool numbered: after its sequence number."""
 
 
-def check(source: File | Recording, *, level: str = "content", rewards: Rewards) -> list[Finding]:
+def check(source: File | Recording, *, level: str = "content") -> list[Finding]:
     """Everything that is wrong with one file, from its bytes upwards; what stands on damaged ground
     is not looked at.
 
     Args:
-        source: The file.
+        source: The file, or a recording, which then has its bytes.
         level: "file" or "content", which includes "file".
-        rewards: The reward equation, to recompute rewards from logged distances and flags.
 
     Raises:
         StorageError: if the file cannot be read.
@@ -60,7 +59,7 @@ def check(source: File | Recording, *, level: str = "content", rewards: Rewards)
     found = [Finding(name, "file", *problem) for problem in _file(recording)]
     if found or level == "file":
         return found
-    return [Finding(name, "content", *problem) for problem in _content(data, rewards)]
+    return [Finding(name, "content", *problem) for problem in _content(data)]
 
 
 def rewritten(source: File | Recording) -> str:
@@ -70,10 +69,11 @@ def rewritten(source: File | Recording) -> str:
         FormatError: if the file is no episode.
         StorageError: if it cannot be read.
     """
-    by = (source if isinstance(source, Recording) else Recording(source)).rewritten
-    return f"rewritten by {by}: the bytes differ, every value is checked as it was recorded" * bool(
-        by
-    )
+    recording = source if isinstance(source, Recording) else Recording(source)
+    if not recording.rewritten:
+        return ""
+    said = "the bytes differ, every value is checked as it was recorded"
+    return f"rewritten by {recording.rewritten}: {said}"
 
 
 def _file(recording: Recording) -> list[Problem]:
@@ -130,11 +130,11 @@ def _checksums(data: bytes, start: int) -> Iterator[Problem]:
         yield Problem(None, "summary", f"CRC {stored:08x}", f"{zlib.crc32(summary):08x}{where}")
 
 
-def _content(data: bytes, rewards: Rewards) -> list[Problem]:
+def _content(data: bytes) -> list[Problem]:
     found = contents(data)
     try:
         episode = decode(found)
-        return [*_messages(found, episode), *content(episode, rewards)]
+        return [*_messages(found, episode), *content(episode)]
     except (FormatError, SpecError) as error:
         return [Problem(None, "messages", "those of an episode", str(error))]
     except (

@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.commands import terminal
-from coordlog.commands.asking import chosen
+from coordlog.catalog.asking import chosen
 from coordlog.errors import FormatError, SpecError
+from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
+
     from coordlog.record.cache import Built, Logs
 
 
@@ -23,7 +24,13 @@ def cache_folder() -> Path:
 
 
 def load_logs(
-    paths: list[Path], *, where: str, skip_broken: bool, jobs: int, verify: bool = False
+    paths: Sequence[Path],
+    *,
+    where: str = "",
+    skip_broken: bool = False,
+    jobs: int = 0,
+    verify: bool = False,
+    monitor: Monitor | None = None,
 ) -> Logs:
     """The episodes under some folders that satisfy a condition, as columns; all of one scene and
     one state layout.
@@ -36,31 +43,32 @@ def load_logs(
     from coordlog.record.cache import load
     from coordlog.record.files import find_files, nothing_found
 
-    files = chosen(paths, where, jobs=jobs) if where else find_files(paths)
+    files = chosen(paths, where, jobs=jobs, monitor=monitor) if where else find_files(paths)
     if not files.paths:
         raise nothing_found(paths, files, wanted="no logs: ")
-    with terminal.progress() as bar:
+    heard = monitor or Monitor()
 
-        def run(
-            build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
-        ) -> Iterable[Built]:
-            task = bar.add_task("decoding new logs", total=sum(map(len, groups)), note="")
+    def run(
+        build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
+    ) -> Iterable[Built]:
+        with heard.progress("decoding new logs", sum(map(len, groups))) as progress:
             for built in mapped(build, groups, jobs=jobs):
-                bar.update(task, advance=built.files)
+                progress.advance(built.files)
                 yield built
 
-        logs = load(files.paths, cache_folder(), run=run, verify=verify)
+    logs = load(files.paths, cache_folder(), run=run, verify=verify)
     logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
     for text in logs.notes:
-        terminal.note(text)
+        heard.note(text)
     for item in logs.skipped:
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
-        terminal.note(f"skipped: {item.path}: {item.reason}")
+        heard.note(f"skipped: {item.path}: {item.reason}")
     scenes = sorted(set(logs.episodes.column("scene").to_pylist()))
     if len(scenes) > 1:
         raise SpecError(
-            f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\""
+            f"logs of several scenes ({', '.join(scenes)}): learn from one, "
+            f"for example --where \"scene = '{scenes[0]}'\""
         )
     _require_task(logs)
     _require_alike(logs)
