@@ -16,7 +16,9 @@ from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
 from coordlog.api.train_plan import Constants, TrainPlan, constants
+from coordlog.catalog.asking import catalogued
 from coordlog.monitor import Monitor
+from coordlog.record.files import find_files
 from coordlog.record.recorder import Recorder
 from coordlog.sim.making import make_env, true_scene
 from coordlog.tasks.own import scene_of
@@ -110,6 +112,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
+    episodes = folder / "episodes"
+    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 
