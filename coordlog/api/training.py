@@ -112,8 +112,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
-    episodes = folder / "episodes"
-    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
+    recorded = folder / "episodes"
+    catalogued(recorded, find_files(recorded).paths if recorded.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 
