@@ -25,9 +25,9 @@ from coordlog.record.recorder import Recorder
 from coordlog.sim.making import make_env
 from coordlog.sim.scoring import Scoreboard, figures, judged
 from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.columns import Columns
 from coordlog.train.events import EventFiles
 from coordlog.train.live import Simulations
-from coordlog.train.logs import Columns
 from coordlog.train.loop import Trainer
 from coordlog.train.metrics import Row
 from coordlog.train.settings import Settings

@@ -34,6 +34,7 @@ from coordlog.record.addresses import is_elsewhere, size_and_time
 from coordlog.record.dataset import Decoded, decoded
 from coordlog.record.files import Skipped
 from coordlog.record.storage import translated
+from coordlog.spec import LEARNT, names
 from coordlog.version import __version__
 
 SHARD = 128
@@ -47,18 +48,6 @@ TRIES = 3
 FRESH = 100_000_000
 """A file changed less than this long ago [ns] may change again within one tick of the clock: its
 digest is not remembered."""
-STEP_COLUMNS = (
-    "state",
-    "action",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-)
-"""What training reads; the rest stays in the files."""
-
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
 Stamp = tuple[int, ...]
@@ -79,7 +68,7 @@ class Logs:
     """Columns of a set of episodes, in the order of their files."""
 
     steps: pa.Table
-    """One row per step: STEP_COLUMNS."""
+    """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
     """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene,
     split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
@@ -151,8 +140,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
                 f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
             )
         logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
-    names = pa.array([str(path) for path in here])
-    return replace(logs, episodes=logs.episodes.append_column("file", names), notes=notes)
+    files = pa.array([str(path) for path in here])
+    return replace(logs, episodes=logs.episodes.append_column("file", files), notes=notes)
 
 
 def build(paths: Sequence[Path], *, folder: Path) -> Built:
@@ -162,9 +151,10 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
     known = frozenset(_known(folder))
     for part in decoded(paths, skipped=skipped, digests=digests, known=known):
         episodes = _described(part)
+        kept = [name for name in names(LEARNT) if name in part.steps.column_names]
         name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
         sums = {
-            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(_columns(part.steps))),
+            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(kept)),
             EPISODES: _write(folder / f"{name}{EPISODES}", episodes),
         }
         _write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
@@ -238,11 +228,6 @@ def _clock(folder: Path) -> int:
     """What time a file written now would bear [ns]."""
     with tempfile.TemporaryFile(dir=folder) as stream:
         return os.fstat(stream.fileno()).st_mtime_ns
-
-
-def _columns(steps: pa.Table) -> list[str]:
-    """Those of STEP_COLUMNS that these episodes' task has."""
-    return [name for name in STEP_COLUMNS if name in steps.column_names]
 
 
 def _described(part: Decoded) -> pa.Table:
@@ -394,11 +379,11 @@ def _gathered(
         part.steps.schema for part in parts
     }
     if len(widths) > 2:
-        names = sorted(
+        robots = sorted(
             {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
         )
         raise SpecError(
-            f"logs of several layouts (robots: {', '.join(names)}): learn from one robot and one state layout at a time"
+            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one state layout at a time"
         )
     return Logs(
         pa.concat_tables([part.steps for part in parts]),

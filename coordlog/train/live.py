@@ -16,7 +16,7 @@ from coordlog.contracts import Env, Outcome
 from coordlog.episode import Array
 from coordlog.sim.rollout import rollout
 from coordlog.sim.scoring import Score, Scoreboard, figures
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block
 
 FLAGS = 6
 """Scalars of a Score in a row, before its values per arm."""

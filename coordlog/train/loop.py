@@ -27,17 +27,17 @@ from coordlog.policies.checkpoint import (
     under,
 )
 from coordlog.policies.learned import Policy
-from coordlog.train.buffer import Block, ReplayBuffer
+from coordlog.train.columns import Block, Columns
 from coordlog.train.digrad import Learner
 from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
-from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
 from coordlog.train.networks import Actor
 from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
 from coordlog.train.settings import Settings, refuse_changes
 from coordlog.train.task import Hooks, LiveSource, Outcome, Task
+from coordlog.train.transitions import Transitions
 
 KIND = "coordlog checkpoint"
 ROUND = 50
@@ -94,7 +94,7 @@ class Trainer:
             raise ConfigError(
                 f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none"
             )
-        store = None if logs is None else LogReplay(logs, task.reward)
+        store = None if logs is None else Transitions.of_logs(logs, task.reward)
         if store is not None and store.widths != task.widths:
             raise SpecError(
                 f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state"
@@ -103,7 +103,9 @@ class Trainer:
         self.buffer = (
             None
             if source is None
-            else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
+            else Transitions.ring(
+                replay.capacity, source.lanes, widths=task.widths, reward=task.reward
+            )
         )
         self.replay = MixedReplay(
             replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device

@@ -28,7 +28,7 @@ from coordlog.episode import Array
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import find
 from coordlog.train.bind import FARTHEST, task_of
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block
 from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import Settings, load_settings

@@ -30,13 +30,14 @@ from coordlog.episode import Array
 from coordlog.policies.learned import Policy
 from coordlog.tasks.config import RewardConfig
 from coordlog.tasks.reach.reward import Flags, rewards
+from coordlog.train.columns import Columns
 from coordlog.train.digrad import Batch, Learner
 from coordlog.train.gradients import gradient_mask
-from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.networks import Actor
 from coordlog.train.replay import Arrays, Horizon, MixedReplay, transitions
 from coordlog.train.settings import PRESETS, Settings
 from coordlog.train.task import Task
+from coordlog.train.transitions import Transitions
 
 N_X, N_U, EPISODE = 39, 13, 150
 ARMS = {"left": list(range(9)), "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
@@ -200,7 +201,7 @@ def batches(rows: int) -> Iterator[Row]:
 
     with tempfile.TemporaryDirectory() as folder:
         columns = mapped(Path(folder), rows)
-        store = LogReplay(columns, reward)
+        store = Transitions.of_logs(columns, reward)
         shuffled = np.random.default_rng(0).permutation(rows)[: min(rows // 256, 2000) * 256]
         tensors = in_memory(columns)
         resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
@@ -261,15 +262,15 @@ def mapped(folder: Path, rows: int) -> Columns:
     nothing = np.zeros(rows, bool)
     flags = np.zeros((rows, 2), bool)
     episodes = rows // EPISODE
+    steps = {
+        "state": column("state", N_X),
+        "action": column("action", N_U),
+        "distance": column("distance", 2),
+        **dict.fromkeys(("boundary", "goal"), flags),
+        **dict.fromkeys(("collision", "instability", "terminated"), nothing),
+    }
     return Columns(
-        state=column("state", N_X),
-        action=column("action", N_U),
-        distance=column("distance", 2),
-        boundary=flags,
-        goal=flags,
-        collision=nothing,
-        instability=nothing,
-        terminated=nothing,
+        steps,
         final=rng.random((episodes, N_X), dtype=np.float32),
         length=np.full(episodes, EPISODE),
     )
@@ -278,19 +279,19 @@ def mapped(folder: Path, rows: int) -> Columns:
 def in_memory(columns: Columns) -> list[torch.Tensor]:
     """What a training loop without logs would hold: states, actions, rewards, next states, ends."""
     state, action = (
-        torch.tensor(np.asarray(columns.state)),
-        torch.tensor(np.asarray(columns.action)),
+        torch.tensor(np.asarray(columns.steps["state"])),
+        torch.tensor(np.asarray(columns.steps["action"])),
     )
     return [
         state,
         action,
-        torch.tensor(np.asarray(columns.distance)),
+        torch.tensor(np.asarray(columns.steps["distance"])),
         state.roll(-1, 0),
         torch.zeros(len(state), 1),
     ]
 
 
-def epoch(store: LogReplay, shuffled: Array) -> None:
+def epoch(store: Transitions, shuffled: Array) -> None:
     for start in range(0, len(shuffled), 256):
         out = Arrays.empty(256, (N_X, N_U, 2))
         transitions(store, shuffled[start : start + 256], out, Horizon(1, 0.98))
