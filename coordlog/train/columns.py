@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -88,16 +88,23 @@ class Columns:
         columns = {name: _array(steps.column(name)) for name in names(LEARNT)}
         return cls(columns, _array(finals.column("state")), _array(finals.column("length")))
 
-    def blocks(self, *, first: int) -> Block:
-        """All of them as one block of one lane, with episodes numbered from `first` on."""
+    def of(self, episodes: Sequence[int]) -> Columns:
+        """Some of the episodes, in this order."""
         starts = np.cumsum(self.length) - self.length
+        rows = np.concatenate([starts[at] + np.arange(self.length[at]) for at in episodes])
+        steps = {name: column[rows] for name, column in self.steps.items()}
+        return Columns(steps, self.final[list(episodes)], self.length[list(episodes)])
+
+    def block(self, *, first: int) -> Block:
+        """All of them as a block of one lane, with episodes numbered from `first` on."""
+        ends = np.cumsum(self.length)
         following = np.concatenate([self.steps["state"][1:], self.final[-1:]])
-        following[starts + self.length - 1] = self.final
+        following[ends - 1] = self.final
         rows = {
             **self.steps,
             "next_state": following,
-            "episode": np.repeat(first + np.arange(len(self.length)), self.length),
-            "step": np.arange(len(following)) - np.repeat(starts, self.length),
+            "episode": np.repeat(first + np.arange(len(ends)), self.length),
+            "step": np.arange(len(following)) - np.repeat(ends - self.length, self.length),
         }
         return Block(**{name: rows[name][:, None] for name in Block._fields})
 
