@@ -12,7 +12,9 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.logs import load_logs
+from coordlog.commands.streams import listed, size_of, stream_of
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+from coordlog.parallel import workers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -98,9 +100,25 @@ def train(
         bool,
         typer.Option("--verify", help="Read every log again, also those that did not change."),
     ] = False,
-    jobs: Annotated[
-        int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
+    memory: Annotated[
+        str,
+        typer.Option(
+            help="Let logs stream through a window of so many bytes, such as 500MB, instead of holding all of them."
+        ),
+    ] = "",
+    collectors: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Collectors that share --envs among them and feed one learner; processes of a cluster with --jobs ray.",
+        ),
     ] = 0,
+    jobs: Annotated[
+        str,
+        typer.Option(
+            help="Processes that read logs, 0 for one per core; ray or ray://HOST:PORT for --collectors on a cluster."
+        ),
+    ] = "0",
     tensorboard: Annotated[
         bool,
         typer.Option(
@@ -128,6 +146,10 @@ def train(
 
         coordlog train --from logs/spheres --set reward.n1=3.0
 
+        coordlog train --from s3://robots/logs --memory 500MB --updates 100000
+
+        coordlog train --scene free --collectors 4 --jobs ray
+
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
     from coordlog.commands.training import (
@@ -136,6 +158,7 @@ def train(
         Judge,
         Progress,
         assemble,
+        collectors_of,
         evaluation_envs,
         practising,
         record_training,
@@ -148,6 +171,7 @@ def train(
     from coordlog.tasks.own import scene_of
     from coordlog.tasks.scene import find
     from coordlog.train.bind import require_alike
+    from coordlog.train.collectors import shares
     from coordlog.train.events import EventFiles, require_tensorboard
     from coordlog.train.run import held
     from coordlog.train.settings import surroundings
@@ -174,12 +198,18 @@ def train(
         if preset == "default" and not source and steps is None and not tables.get("loop"):
             given |= {"loop.steps": STEPS, "loop.updates": updates or 0}
     wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
-    logs = (
-        load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs, verify=verify)
-        if source
-        else None
-    )
+    logs, room = None, size_of(memory) if memory else 0
+    readers: int | str = int(jobs) if jobs.isdecimal() else 0 if collectors else workers(jobs)
+    if source and room:
+        logs = listed(source, where=where, skip_broken=skip_broken, jobs=readers)
+    elif source:
+        logs = load_logs(source, where=where, skip_broken=skip_broken, jobs=readers, verify=verify)
+    elif room:
+        raise ConfigError("--memory: expected logs to stream, --from, got none")
     mode = ("both" if live else "logs") if logs else "live"
+    if collectors and (mode == "logs" or collectors > envs):
+        got = f"{collectors} for {envs if mode != 'logs' else 'no'} live simulations"
+        raise ConfigError(f"--collectors: expected at most one for each live simulation, got {got}")
     if mode != "logs" and wanted.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
     asked = scene
@@ -194,10 +224,14 @@ def train(
     judged = evaluation_envs(
         place, around, like, start=start, envs=min(EVALUATION_ENVS, eval_episodes)
     )
+    stream = stream_of(logs, memory=room, jobs=readers, seed=seed) if logs and room else None
     said = _said(scene, mode, judged[""], wanted, logs, envs=envs, where=where) | {
         "preset": preset,
         "start": start,
     }
+    layout = judged[""].layout
+    said |= {"window": stream.about((layout.n_x, layout.n_u, layout.k))} if stream else {}
+    said |= {"collectors": collectors} if collectors else {}
     if logs:
         require_alike(logs.env(0), said["env"], where=f"scene '{scene}'")
     if mode != "logs" and "reward" in around:
@@ -221,12 +255,33 @@ def train(
         )
         judge = Judge(judged, folder, run=run, episodes=eval_episodes, window=window)
         recorder = None
-        if mode != "logs":
+        if collectors:
+            recorder = stack.enter_context(
+                collectors_of(
+                    asked or scene,
+                    around,
+                    like,
+                    wanted,
+                    start=start,
+                    folder=folder,
+                    run=run,
+                    lanes=shares(envs, collectors),
+                    jobs=jobs,
+                )
+            )
+        elif mode != "logs":
             simulated = practising(place, around, like, wanted, start=start, envs=envs)
             recorder = stack.enter_context(record_training(simulated, folder, run=run))
         hooks = Hooks(evaluate=judge, rank=RANK, on_row=show, should_stop=lambda: bool(interrupted))
         trainer = assemble(
-            folder, wanted, judged[""], logs, recorder, hooks=hooks, said=said, device=device
+            folder,
+            wanted,
+            judged[""],
+            stream or logs,
+            recorder,
+            hooks=hooks,
+            said=said,
+            device=device,
         )
         if not resume:
             _begin(folder, {**said, "recorder": run}, logs)

@@ -17,6 +17,7 @@ import numpy as np
 from rich.progress import Progress as Bar
 
 from coordlog.commands.terminal import note
+from coordlog.crew import Crew
 from coordlog.policies.learned import Policy
 from coordlog.record.cache import Logs
 from coordlog.record.dataset import SUFFIX
@@ -24,14 +25,17 @@ from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Recorder
 from coordlog.sim.making import make_env
 from coordlog.sim.scoring import Scoreboard, figures, judged
+from coordlog.tasks.own import scene_of
 from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.collectors import Collector, Collectors, shares
 from coordlog.train.columns import Columns
 from coordlog.train.events import EventFiles
 from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
 from coordlog.train.metrics import Row
 from coordlog.train.settings import Settings
-from coordlog.train.task import Hooks
+from coordlog.train.stream import Stream
+from coordlog.train.task import Hooks, LiveSource
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
@@ -288,12 +292,57 @@ def curves(row: Row) -> dict[str, float]:
     }
 
 
+def simulations(
+    recorder: Recorder, env: BatchEnv, settings: Settings, *, first: int = 0, stride: int = 1
+) -> Simulations:
+    """The recorded simulations of a run, or those of one of several collectors."""
+    farthest = FARTHEST * env.scene.robot.reach
+    k, seed = env.layout.k, settings.loop.seed
+    return Simulations(recorder, seed=seed, k=k, farthest=farthest, first=first, stride=stride)
+
+
+def collectors_of(
+    scene: str,
+    tables: Mapping[str, Any],
+    like: Json,
+    settings: Settings,
+    *,
+    start: str,
+    folder: Path,
+    run: str,
+    lanes: list[int],
+    jobs: int | str,
+) -> Crew:
+    """Collectors of a run, each with its share `lanes` of the simulations; `jobs` says where."""
+    make = partial(
+        _collector, scene, tables, like, settings, start, folder.resolve(), run, tuple(lanes)
+    )
+    return Crew(make, len(lanes), jobs=jobs)
+
+
+def _collector(
+    scene: str,
+    tables: Mapping[str, Any],
+    like: Json,
+    settings: Settings,
+    start: str,
+    folder: Path,
+    run: str,
+    lanes: tuple[int, ...],
+    at: int,
+) -> Collector:
+    """One of several collectors, in its own process or here."""
+    env = practising(scene_of(scene), tables, like, settings, start=start, envs=lanes[at])
+    recorder = record_training(env, folder, run=run)
+    return Collector(simulations(recorder, env, settings, first=at, stride=len(lanes)), recorder)
+
+
 def assemble(
     folder: Path,
     settings: Settings,
     env: BatchEnv,
-    logs: Logs | None,
-    recorder: Recorder | None,
+    logs: Logs | Stream | None,
+    recorder: Recorder | Crew | None,
     *,
     hooks: Hooks,
     said: Json,
@@ -305,22 +354,21 @@ def assemble(
         folder: The run folder.
         settings: All constants.
         env: What the task is, without what makes training easier.
-        logs: Logged episodes, or None.
-        recorder: `env`, recorded, if there are live steps.
+        logs: Logged episodes, or a stream of them, or None.
+        recorder: `env`, recorded, if there are live steps; or collectors that have it.
         hooks: Evaluation, progress, stop.
         said: What every policy file carries.
         device: Where the networks live.
     """
     task = task_of(env.describe(), reward=env.task.reward)
-    columns = None if logs is None else Columns.from_tables(logs.steps, logs.episodes)
-    reach = env.scene.robot.reach
-    source = (
-        None
-        if recorder is None
-        else Simulations(
-            recorder, seed=settings.loop.seed, k=env.layout.k, farthest=FARTHEST * reach
-        )
-    )
+    columns = logs if isinstance(logs, Stream) else None
+    if logs is not None and not isinstance(logs, Stream):
+        columns = Columns.from_tables(logs.steps, logs.episodes)
+    source: LiveSource | None = None
+    if isinstance(recorder, Crew):
+        source = Collectors(recorder, shares(said["envs"], said["collectors"]), k=env.layout.k)
+    elif recorder is not None:
+        source = simulations(recorder, env, settings)
     about = {
         key: said[key] for key in ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
     }

@@ -124,6 +124,15 @@ class Stream:
             )
         return rows
 
+    def about(self, widths: tuple[int, int, int]) -> Json:
+        """What a run says of its window."""
+        return {
+            "memory": self._memory,
+            "transitions": self.room(widths),
+            "of": self.transitions,
+            "episodes": len(self._logged),
+        }
+
     def open(
         self, widths: tuple[int, int, int], reward: RewardFunction, *, pace: float
     ) -> Transitions:
