@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import pytest
 
 from coordlog.crew import Crew
 from coordlog.episode import Array
+from coordlog.errors import ConfigError
 from coordlog.policies.checkpoint import load_arrays, save_arrays
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.config import EnvConfig
@@ -97,7 +98,13 @@ def test_a_cluster_gives_the_same_bits_and_a_lost_collector_is_made_again(tmp_pa
     blocks = []
     for jobs in ("ray", 1):
         policy = exploring()
-        with Crew(dying, 2, jobs=jobs) as crew:
+        with ExitStack() as stack:
+            try:
+                crew = stack.enter_context(Crew(dying, 2, jobs=jobs))
+            except ConfigError as error:
+                if "timed out during startup" in str(error):
+                    pytest.skip("the machine is too busy: Ray waits half a minute for its start")
+                raise
             source = Collectors(crew, EACH, k=2)
             blocks.append([source.collect(3, policy) for _ in range(3)])
             blocks[-1].append(source.summary())
