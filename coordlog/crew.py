@@ -35,6 +35,7 @@ class Crew:
         """
         self._make, self._count, self._jobs = make, count, workers(jobs)
         self._stack = ExitStack()
+        self._ray: Any = None
 
     def __enter__(self) -> Crew:
         """Make them.
@@ -43,7 +44,6 @@ class Crew:
             ConfigError: if there is no such cluster, or it has too few processors.
         """
         with ExitStack() as stack:
-            self._ray = None
             if isinstance(self._jobs, str):
                 self._ray = stack.enter_context(cluster(self._jobs))
                 there = int(self._ray.cluster_resources().get("CPU", 0))

@@ -96,7 +96,8 @@ def mapped(
     if isinstance(wanted, str):
         yield from _on_ray(function, items, wanted)
         return
-    count, window, begin = wanted or os.cpu_count() or 1, _IN_FLIGHT, _attend
+    count, window = wanted or os.cpu_count() or 1, _IN_FLIGHT
+    begin: Callable[[], None] | None = _attend
     if isinstance(items, Sized):
         count, window, begin = min(count, len(items)), len(items), None
         if count <= 1:

@@ -74,4 +74,6 @@ class Exploring:
         """
         noise = np.stack([self._noise.draw() for _ in range(steps)])
         parts = np.split(noise, np.cumsum(lanes)[:-1], axis=1)
-        return [Exploring(self.policy, Drawn(part), deviation=self.deviation) for part in parts]
+        return [
+            Exploring(self.policy, Drawn(part), deviation=float(self.deviation)) for part in parts
+        ]

@@ -78,7 +78,9 @@ class Transitions:
                 f"replay.capacity: expected at least one transition per simulation, {lanes}, got {capacity}"
             )
         n = capacity // lanes * lanes
-        rows = {name: np.zeros((n, *shape), kind) for name, (shape, kind) in _kept(widths).items()}
+        rows: dict[str, Array] = {
+            name: np.zeros((n, *shape), kind) for name, (shape, kind) in _kept(widths).items()
+        }
         return cls(rows, lanes=lanes, reward=reward)
 
     @classmethod

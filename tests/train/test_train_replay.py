@@ -160,7 +160,7 @@ def test_columns_that_do_not_fit_together_are_refused(
 
 def test_logs_cost_little_memory_of_their_own(tmp_path: Path) -> None:
     n, episodes = 150_000, 1000
-    steps = {
+    steps: dict[str, np.ndarray] = {
         "state": np.memmap(tmp_path / "state", np.float32, "w+", shape=(n, 37)),
         "action": np.memmap(tmp_path / "action", np.float32, "w+", shape=(n, 13)),
         "distance": np.memmap(tmp_path / "distance", np.float64, "w+", shape=(n, 2)),
