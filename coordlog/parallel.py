@@ -28,8 +28,6 @@ Answer = TypeVar("Answer")
 RAY = "ray"
 RETRIES = 3
 """How often an item is begun again on a cluster after the process that had it died."""
-JOBS_HELP = "Processes, 0 for one per core; ray or ray://HOST:PORT for a cluster."
-SHARD_HELP = "The I-th of N equal shares of the work, 1/N to N/N: one for each job of an array."
 
 _IN_FLIGHT = 4  # items per core of a cluster that are handed out at a time
 

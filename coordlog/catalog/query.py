@@ -121,17 +121,12 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
         sound = "where error is null and gone is null" if "error" in names else ""
         selects.append(f"select {', '.join(columns)} from {text} {sound}")
     whole = " union all ".join(selects)
-    condition = f"where ({where}\n)" if where else ""
-    text = f"select * from ({whole}) {condition}"
+    connection.execute(f"create view episodes as {whole}")
     if where:
-        try:
-            require_condition(connection, where)
-        except ValueError as error:
-            raise ConfigError(
-                f"--where: expected an SQL condition; {str(error).splitlines()[0]}"
-            ) from None
+        require_condition(connection, where)
+        whole = f"select * from ({whole}) where ({where}\n)"
     connection.execute(
-        f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
+        f"create or replace view episodes as select row_number() over () - 1 as row, * from ({whole})"
     )
 
 

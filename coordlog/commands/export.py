@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import Episodes, Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 
 def export(
-    path: Annotated[
-        list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")
-    ],
+    path: Episodes,
     to: Annotated[
         str,
         typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
@@ -48,12 +46,12 @@ def export(
             metavar="SOURCE",
         ),
     ] = None,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
+    jobs: Jobs = "0",
     skip_broken: Annotated[
-        bool, typer.Option("--skip-broken", help="Leave out files that are damaged, and name them.")
+        bool, flag("--skip-broken", "Leave out files that are damaged, and name them.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is at --out.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    force: Annotated[bool, flag("--force", "Replace what is at --out.")] = False,
+    as_json: Annotated[bool, json_flag("what was done")] = False,
 ) -> None:
     """Write episodes as a LeRobot, Minari or robomimic data set, ROS 2 bags, Parquet or CSV.
 
@@ -141,28 +139,11 @@ def _matching(found: list[Entry], where: str) -> list[Entry]:
     Raises:
         ConfigError: if it is none, or nothing satisfies it.
     """
-    try:
-        import duckdb
-    except ModuleNotFoundError as error:
-        raise ConfigError("--where needs duckdb: pip install 'coordlog[exchange]'") from error
     import pyarrow as pa
 
-    from coordlog.commands.logs import CLOSED
-    from coordlog.conditions import require_condition
+    from coordlog.conditions import matching
 
-    rows = pa.Table.from_pylist([{**entry.row, "row": i} for i, entry in enumerate(found)])
-    with duckdb.connect(config=CLOSED) as connection:
-        connection.register("episodes", rows)
-        try:
-            require_condition(connection, where)
-            kept = connection.execute(
-                f"select row from episodes where ({where}\n) order by row"
-            ).fetchall()
-        except (duckdb.Error, ValueError) as error:
-            names = ", ".join(found[0].row)
-            raise ConfigError(
-                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-            ) from error
+    kept = matching(pa.Table.from_pylist([entry.row for entry in found]), where)
     if not kept:
         raise ConfigError(f"--where: no episode of {len(found)} satisfies: {where}")
-    return [found[row] for (row,) in kept]
+    return [found[row] for row in kept]

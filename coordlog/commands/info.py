@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import Files, json_flag
 from coordlog.errors import EXIT_PARTIAL, FormatError
 
 if TYPE_CHECKING:
@@ -19,14 +20,12 @@ MANY = 40
 
 
 def info(
-    path: Annotated[
-        list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")
-    ],
+    path: Files,
     every: Annotated[
         bool,
         typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}."),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print rows and totals as JSON.")] = False,
+    as_json: Annotated[bool, json_flag("rows and totals")] = False,
 ) -> None:
     """Show what episodes there are; reads the ends of each file, not its messages.
 

@@ -11,8 +11,8 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,8 +29,7 @@ def query(
         typer.Argument(help="Folders, packs, stores, manifests or files; by default logs."),
     ] = None,
     steps: Annotated[
-        bool,
-        typer.Option("--steps", help="Offer the view steps, too; steps.episode = episodes.row."),
+        bool, flag("--steps", "Offer the view steps, too; steps.episode = episodes.row.")
     ] = False,
     where: Annotated[
         str, typer.Option(help="Restrict both views to the episodes that satisfy this SQL.")
@@ -44,8 +43,8 @@ def query(
     scan: Annotated[
         bool, typer.Option(help="Look at the files first; --no-scan believes the catalogue.")
     ] = True,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print every row as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("every row")] = False,
 ) -> None:
     """Ask the catalogue; read-only, with no access to other files.
 

@@ -9,8 +9,8 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 
 def select(
@@ -36,13 +36,10 @@ def select(
     seed: Annotated[int, typer.Option(help="Another seed divides otherwise.")] = 0,
     label: Annotated[str | None, typer.Option(help="A label for all of them.")] = None,
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Write the next version; the one before stays, NAME@HASH."),
+        bool, flag("--force", "Write the next version; the one before stays, NAME@HASH.")
     ] = False,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what was selected as JSON.")
-    ] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what was selected")] = False,
 ) -> None:
     """List episodes by the sha256 of their files: drop, merge, divide, relabel without touching one.
 

@@ -48,6 +48,22 @@ class Files(NamedTuple):
     others: tuple[tuple[str, int], ...] = ()
     """Kinds of logs of other programs that lie there, and how many of each."""
 
+    def left_out(self) -> list[str]:
+        """A sentence for each file that was left out, and for each that is unfinished."""
+        return [f"{item.path}: {item.reason}" for item in self.skipped] + [
+            f"{part}: unfinished; `coordlog recover` makes an episode of it" for part in self.parts
+        ]
+
+    def joined(self, other: Files) -> Files:
+        """These files and others."""
+        counts = Counter(dict(self.others)) + Counter(dict(other.others))
+        return Files(
+            self.paths + other.paths,
+            self.parts + other.parts,
+            self.skipped + other.skipped,
+            tuple(sorted(counts.items())),
+        )
+
 
 def find_files(path_or_paths: File | Iterable[File]) -> Files:
     """The episode files that are named, or lie in the folders that are named, at any depth.

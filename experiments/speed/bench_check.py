@@ -16,14 +16,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from coordlog.commands.check import BATCH
 from coordlog.parallel import batches, mapped
 from coordlog.policies.scripted import scripted, with_noise
 from coordlog.record.recorder import Recorder
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.rollout import rollout
 from coordlog.tasks.scene import find
-from coordlog.verify.levels import check_files
+from coordlog.verify.levels import BATCH, check_files
 
 
 def check_to_replay(paths: list[Path]) -> int:

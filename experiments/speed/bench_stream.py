@@ -27,9 +27,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from coordlog.api.streams import listed, size_of, stream_of
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.rows import episode_row, table_of
-from coordlog.commands.streams import listed, size_of, stream_of
+from coordlog.monitor import Monitor
 from coordlog.record.pack_writer import PackWriter
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recording import Recording
@@ -112,7 +113,7 @@ def packed(made: list[Path], pack: Path, episodes: int) -> None:
 
 def speed(made: list[Path], pack: Path, folder: Path, options: argparse.Namespace) -> Iterator[Row]:
     """Two trainers that take turns."""
-    logs = listed([pack], where="", skip_broken=False, jobs=0)
+    logs = listed([pack], monitor=Monitor())
     env = logs.env(0)
     settings = load_settings(assignments=["loop.evaluate_every=0"])
     group = tuple(Logged(path, hashlib.sha256(path.read_bytes()).hexdigest(), 1) for path in made)

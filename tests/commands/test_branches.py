@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import coordlog
+from coordlog.api.logs import load_logs
 from coordlog.cli import app
-from coordlog.commands.logs import load_logs
 from coordlog.errors import CoordlogError
 from coordlog.record.branches import EARLIEST, LATEST, Parents, leave
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from coordlog.api.judging import Judge, evaluation_envs
+from coordlog.api.train_plan import TrainPlan, preset_of
 from coordlog.cli import app
-from coordlog.commands.train import _preset
-from coordlog.commands.training import Judge, evaluation_envs
 from coordlog.errors import CoordlogError
 from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
@@ -345,7 +345,7 @@ def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path:
     ],
 )
 def test_the_preset_follows_what_stands_in_the_way(scene: str, live: bool, preset: str) -> None:
-    assert _preset(None, scene, live=live) == preset
+    assert preset_of(TrainPlan(source=None if live else ["logs"], scene=scene)) == preset
 
 
 def test_logs_of_another_period_are_named(cache: Path, logs: Path, tmp_path: Path) -> None:

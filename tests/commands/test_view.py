@@ -55,9 +55,9 @@ def test_what_is_no_episode_is_refused(tmp_path: Path) -> None:
 def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from coordlog.commands.siblings import sibling
     from coordlog.record.addresses import sha256
     from coordlog.record.reader import read_attachments, read_episode
+    from coordlog.record.siblings import sibling
     from coordlog.record.writer import write_episode
 
     raw, smoothed = tmp_path / "logs" / "a.mcap", tmp_path / "smoothed" / "a.mcap"

@@ -1,22 +1,24 @@
-"""Tests for logs.py: what --where takes is one condition on single episodes."""
+"""Tests for conditions.py: what --where takes is one condition on single episodes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
-from coordlog.commands.logs import matching
+from coordlog.api.logs import described
+from coordlog.conditions import matching
 from coordlog.errors import ConfigError
-from coordlog.record.cache import Logs, load
+from coordlog.record.cache import load
 
-FILES = sorted((Path(__file__).parents[1] / "data" / "v1" / "table").glob("*.mcap"))
+FILES = sorted((Path(__file__).parent / "data" / "v1" / "table").glob("*.mcap"))
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
     folder = tmp_path_factory.mktemp("cache")
-    return load(FILES, folder, run=lambda build, groups: map(build, groups))
+    return described(load(FILES, folder, run=lambda build, groups: map(build, groups)))
 
 
 @pytest.mark.parametrize(
@@ -31,10 +33,12 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
         ("case when clean then false else true end", [2]),
         ("seed in (11, 13)", [0, 2]),
         ("returns[1] > -1e9", [0, 1, 2]),
+        ("nullif(clean, false)", [0, 1]),
+        ("returns[1] / 0 is not null or clean", [0, 1, 2]),
     ],
 )
-def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -> None:
-    assert matching(logs, where) == rows
+def test_a_condition_chooses_episodes(episodes: pa.Table, where: str, rows: list[int]) -> None:
+    assert matching(episodes, where) == rows
 
 
 @pytest.mark.parametrize(
@@ -63,9 +67,20 @@ def test_a_condition_chooses_episodes(logs: Logs, where: str, rows: list[int]) -
         "exists(from '/etc/passwd')",
         "1=1; attach '/tmp/x.db'; select row from episodes where true",
         "1=1; install httpfs; load httpfs",
+        "1/0",
+        "length",
+        "null",
+        "'true'",
+        "row >= 0",
+        "columns(*)",
+        "sum(length) over () > 1",
+        "unnest([true, false])",
+        "*",
+        "clean, success",
+        "clean as b",
         "\0",
     ],
 )
-def test_whatever_is_more_than_a_condition_is_refused(logs: Logs, where: str) -> None:
+def test_whatever_is_more_than_a_condition_is_refused(episodes: pa.Table, where: str) -> None:
     with pytest.raises(ConfigError, match="--where: expected an SQL condition over length"):
-        matching(logs, where)
+        matching(episodes, where)

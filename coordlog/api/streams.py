@@ -1,24 +1,29 @@
-"""What `train` learns from without holding it: logs that stream through a window."""
+"""Logs as training data without holding them: listed by their catalogues, streamed when they are
+learnt from.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from coordlog.commands.asking import gathered
 from coordlog.errors import ConfigError, FormatError, SpecError
+from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
+    from coordlog.catalog.rows import Job
     from coordlog.episode import Json
     from coordlog.record.cache import Logs
     from coordlog.train.columns import Columns
     from coordlog.train.stream import Group, Stream
+
+Rows = list[dict[str, Any]]
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([kMG]?)B?")
@@ -39,7 +44,14 @@ def size_of(text: str) -> int:
     return int(float(found[1]) * UNITS[found[2]])
 
 
-def listed(paths: list[Path], *, where: str, skip_broken: bool, jobs: int | str) -> Logs:
+def listed(
+    paths: Sequence[Path],
+    *,
+    where: str = "",
+    skip_broken: bool = False,
+    jobs: int | str = 0,
+    monitor: Monitor,
+) -> Logs:
     """The episodes that satisfy a condition, by their catalogues: which there are, and no steps.
 
     Raises:
@@ -49,14 +61,24 @@ def listed(paths: list[Path], *, where: str, skip_broken: bool, jobs: int | str)
     """
     import pyarrow as pa
 
+    from coordlog.catalog.gather import gather
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
     from coordlog.record.files import Skipped
     from coordlog.record.recording import Recording
 
-    found = gathered(paths, jobs=str(jobs))
-    if found.left_out and not skip_broken:
-        raise FormatError(f"{found.left_out[0]}; --skip-broken learns from the others")
+    def run(function: Callable[[Job], Rows], work: Sequence[Job]) -> Iterator[Rows]:
+        total = sum(len(job.entries) for job in work)
+        with monitor.progress("describing new episodes", total) as progress:
+            for rows in mapped(function, work, jobs=jobs):
+                progress.advance(len(rows))
+                yield rows
+
+    found = gather(paths, run=run)
+    for reason in found.left_out:
+        if not skip_broken:
+            raise FormatError(f"{reason}; --skip-broken learns from the others")
+        monitor.note(f"skipped: {reason}")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows):
         raise ConfigError(f"--where: no episode satisfies: {where}" if where else "no logs there")
