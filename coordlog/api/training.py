@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import uuid
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -16,20 +15,19 @@ import numpy as np
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
+from coordlog.api.practice import Practice, collector, record_training
 from coordlog.api.streams import listed, size_of, stream_of
 from coordlog.api.train_plan import Constants, TrainPlan, constants
 from coordlog.crew import Crew
 from coordlog.monitor import Monitor
-from coordlog.record.recorder import Recorder
-from coordlog.sim.making import make_env, true_scene
+from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
 from coordlog.train import run as runs
-from coordlog.train.bind import FARTHEST, require_alike, task_of
-from coordlog.train.collectors import Collector, Collectors, shares
+from coordlog.train.bind import require_alike, task_of
+from coordlog.train.collectors import Collectors, shares
 from coordlog.train.columns import Columns
 from coordlog.train.events import EventFiles, require_tensorboard
-from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import refuse_changes, surroundings
 from coordlog.train.stream import Stream
@@ -100,7 +98,7 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         judge = Judge(run.judged, folder, run=run.name, episodes=plan.eval_episodes, window=window)
         source: LiveSource | None = None
         if plan.collectors:
-            crew = Crew(partial(_collector, practice_of(run)), plan.collectors, jobs=plan.jobs)
+            crew = Crew(partial(collector, practice_of(run)), plan.collectors, jobs=plan.jobs)
             each = shares(plan.envs, plan.collectors)
             source = Collectors(stack.enter_context(crew), each, k=run.judged[""].layout.k)
         elif plan.mode != "logs":
@@ -220,47 +218,6 @@ def _name(plan: TrainPlan, folder: Path, about: Json, wanted: Constants, monitor
     return str(before["recorder"])
 
 
-def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
-    """The live environment, recorded into the run folder."""
-    policy = {
-        "kind": "digrad",
-        "name": "learner",
-        "checkpoint_sha256": "",
-        "noise": {"kind": "gaussian", "schedule": "noise in run.json"},
-    }
-    return Recorder(env, folder / "episodes" / "train", policy=policy, display=False, run=run)
-
-
-class Practice(NamedTuple):
-    """What live steps are taken in and recorded as; made again in the process of a collector."""
-
-    scene: Scene
-    tables: dict[str, Any]
-    start: str
-    lanes: tuple[int, ...]
-    """Simulations of each collector"""
-    like: Json
-    folder: Path
-    name: str
-    """What the recordings carry"""
-    seed: int
-    k: int
-    """Number of arms"""
-
-    def env(self, envs: int) -> BatchEnv:
-        """The environment, with what makes training easier (section [train])."""
-        threads = max(1, (os.cpu_count() or 2) - 1)
-        return make_env(
-            self.scene, self.tables, start=self.start, envs=envs, threads=threads, like=self.like
-        )
-
-    def simulations(self, env: Recorder, *, first: int = 0, stride: int = 1) -> Simulations:
-        """The recorded environment as a source of transitions."""
-        farthest = FARTHEST * self.scene.robot.reach
-        k = env.layout.k
-        return Simulations(env, seed=self.seed, k=k, farthest=farthest, first=first, stride=stride)
-
-
 def practice_of(run: Run) -> Practice:
     """What the live steps of a run are taken in."""
     plan, tables = run.plan, run.constants.tables
@@ -276,14 +233,6 @@ def practice_of(run: Run) -> Practice:
         run.constants.settings.loop.seed,
         run.judged[""].layout.k,
     )
-
-
-def _collector(practice: Practice, at: int) -> Collector:
-    """One of several collectors, in its own process or here."""
-    env = practice.env(practice.lanes[at])
-    recorder = record_training(env, practice.folder, run=practice.name)
-    simulations = practice.simulations(recorder, first=at, stride=len(practice.lanes))
-    return Collector(simulations, recorder)
 
 
 def trainer_of(run: Run, source: LiveSource | None, hooks: Hooks) -> Trainer:

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from coordlog.api.training import record_training
+from coordlog.api.practice import record_training
 from coordlog.episode import Array
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import find
