@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -25,23 +24,9 @@ if TYPE_CHECKING:
 
 Rows = list[dict[str, Any]]
 
-UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
-_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([kMG]?)B?")
 _EPISODES = """
     select digest, path as file, scene, length from episodes where length > 0 order by digest, path
 """
-
-
-def size_of(text: str) -> int:
-    """Bytes, from "500MB" or a number of them.
-
-    Raises:
-        ConfigError: if it is no size.
-    """
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
-        raise ConfigError(f"--memory: expected a size such as 500MB or 2GB, got {text}")
-    return int(float(found[1]) * UNITS[found[2]])
 
 
 def listed(
@@ -64,7 +49,7 @@ def listed(
     from coordlog.catalog.gather import gather
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
-    from coordlog.record.files import Skipped
+    from coordlog.record.files import Skipped, find_files, nothing_found
     from coordlog.record.recording import Recording
 
     def run(function: Callable[[Job], Rows], work: Sequence[Job]) -> Iterator[Rows]:
@@ -80,8 +65,10 @@ def listed(
             raise FormatError(f"{reason}; --skip-broken learns from the others")
         monitor.note(f"skipped: {reason}")
     rows = ask(_EPISODES, found.sources, where=where)
+    if not len(rows) and where:
+        raise ConfigError(f"--where: no episode satisfies: {where}")
     if not len(rows):
-        raise ConfigError(f"--where: no episode satisfies: {where}" if where else "no logs there")
+        raise nothing_found(paths, find_files(paths), wanted="no logs: ")
     scenes = sorted(set(rows.column("scene").to_pylist()))
     if len(scenes) > 1:
         raise SpecError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 
 STEPS = 150_000
 """Live steps of a run with the preset `default` that names no budget: enough for `free`."""
+
+
+UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([kMG]?)B?")
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,14 @@ class TrainPlan:
     """Watch in rerun."""
 
     @property
+    def window(self) -> int:
+        """Bytes of the window that logs stream through; 0 without one."""
+        found = _SIZE.fullmatch(self.memory.strip())
+        if self.memory and found is None:
+            raise ConfigError(f"--memory: expected a size such as 500MB or 2GB, got {self.memory}")
+        return int(float(found[1]) * UNITS[found[2]]) if found else 0
+
+    @property
     def readers(self) -> int | str:
         """Where logs are read."""
         jobs = workers(self.jobs)
@@ -127,7 +140,7 @@ def constants(plan: TrainPlan) -> Constants:
         given |= {"loop.steps": STEPS, "loop.updates": plan.updates or 0}
     own = [f"{key}={value}" for key, value in given.items() if value is not None]
     settings = load_settings(preset=preset, tables=tables, assignments=[*assigned, *own])
-    if plan.memory and not plan.source:
+    if plan.window and not plan.source:
         raise ConfigError("--memory: expected logs to stream, --from, got none")
     if plan.collectors and (plan.mode == "logs" or plan.collectors > plan.envs):
         live = plan.envs if plan.mode != "logs" else "no"

@@ -16,7 +16,7 @@ from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
 from coordlog.api.practice import Practice, collector, record_training
-from coordlog.api.streams import listed, size_of, stream_of
+from coordlog.api.streams import listed, stream_of
 from coordlog.api.train_plan import Constants, TrainPlan, constants
 from coordlog.crew import Crew
 from coordlog.monitor import Monitor
@@ -130,9 +130,9 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     judged = evaluation_envs(scene, wanted.tables, like, start=plan.start, envs=envs)
     about = _about(plan, scene, judged[""], wanted, logs)
     stream = None
-    if logs and plan.memory:
-        memory, seed = size_of(plan.memory), wanted.settings.loop.seed
-        stream = stream_of(logs, memory=memory, jobs=plan.readers, seed=seed)
+    if logs and plan.window:
+        seed = wanted.settings.loop.seed
+        stream = stream_of(logs, memory=plan.window, jobs=plan.readers, seed=seed)
         layout = judged[""].layout
         about["window"] = stream.about((layout.n_x, layout.n_u, layout.k))
     if plan.collectors:
@@ -166,7 +166,7 @@ def _logs(plan: TrainPlan, monitor: Monitor) -> Logs:
         "jobs": plan.readers,
         "monitor": monitor,
     }
-    if plan.memory:
+    if plan.window:
         return listed(paths, **chosen)
     return load_logs(paths, verify=plan.verify, **chosen)
 

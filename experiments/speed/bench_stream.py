@@ -27,7 +27,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from coordlog.api.streams import listed, size_of, stream_of
+from coordlog.api.streams import listed, stream_of
+from coordlog.api.train_plan import TrainPlan
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.rows import episode_row, table_of
 from coordlog.monitor import Monitor
@@ -127,7 +128,7 @@ def speed(made: list[Path], pack: Path, folder: Path, options: argparse.Namespac
         np.tile(some.final, (times, 1)),
         np.tile(some.length, times),
     )
-    stream = stream_of(logs, memory=size_of(options.memory), jobs=0, seed=0)
+    stream = stream_of(logs, memory=TrainPlan(memory=options.memory).window, jobs=0, seed=0)
     trainers = {
         "memory": Trainer(task_of(env), settings, folder=folder / "a", logs=every),
         "window": Trainer(task_of(env), settings, folder=folder / "b", logs=stream),
