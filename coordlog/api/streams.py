@@ -102,12 +102,10 @@ def stream_of(logs: Logs, *, memory: int, jobs: int | str, seed: int) -> Stream:
             for each in found:
                 for text, path in each.envs.items():
                     if text not in seen:
-                        require_alike(first, json.loads(text), where=str(path))
+                        require_alike(first, json.loads(text), where=path)
                         seen.add(text)
                 yield each.columns
 
     columns = (logs.episodes.column(name).to_pylist() for name in ("file", "digest", "length"))
-    logged = [
-        Logged(Path(file), digest, length) for file, digest, length in zip(*columns, strict=True)
-    ]
+    logged = [Logged(file, digest, length) for file, digest, length in zip(*columns, strict=True)]
     return Stream(logged, reader, memory=memory, seed=seed)

@@ -34,7 +34,7 @@ ORDER = 2
 class Logged(NamedTuple):
     """One episode of a set, as it was listed before the run."""
 
-    path: Path
+    path: str
     digest: str
     length: int
 
@@ -48,7 +48,7 @@ class Read(NamedTuple):
     """A group of episodes as it was found."""
 
     columns: Columns
-    envs: dict[str, Path]
+    envs: dict[str, str]
     """Each `coordlog.env` record that is among them, as JSON, and a file that has it."""
 
 
@@ -62,11 +62,11 @@ def read(group: Group) -> Read:
     """
     skipped: list[Skipped] = []
     digests: dict[Path, str] = {}
-    parts = decoded([each.path for each in group], skipped=skipped, digests=digests)
+    parts = decoded([Path(each.path) for each in group], skipped=skipped, digests=digests)
     for item in skipped:
         raise FormatError(f"{item.path}: {item.reason}")
     for each in group:
-        if digests[each.path] != each.digest:
+        if digests[Path(each.path)] != each.digest:
             raise StorageError(f"{each.path}: changed since the run began; begin a new one")
     if len(parts) != 1:
         raise SpecError(f"{group[0].path} and others: expected logs of one layout, got several")

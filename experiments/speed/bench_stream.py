@@ -117,7 +117,9 @@ def speed(made: list[Path], pack: Path, folder: Path, options: argparse.Namespac
     logs = listed([pack], monitor=Monitor())
     env = logs.env(0)
     settings = load_settings(assignments=["loop.evaluate_every=0"])
-    group = tuple(Logged(path, hashlib.sha256(path.read_bytes()).hexdigest(), 1) for path in made)
+    group = tuple(
+        Logged(str(path), hashlib.sha256(path.read_bytes()).hexdigest(), 1) for path in made
+    )
     some = read(group).columns
     times = len(logs) // KINDS
     every = Columns(

@@ -32,9 +32,7 @@ FILES = sorted((Path(__file__).parents[1] / "data" / "v1" / "table").glob("*.mca
 
 def listed(columns: Columns) -> list[Logged]:
     """Episodes that are named by their number."""
-    return [
-        Logged(Path(str(at)), f"{at:04}", int(length)) for at, length in enumerate(columns.length)
-    ]
+    return [Logged(str(at), f"{at:04}", int(length)) for at, length in enumerate(columns.length)]
 
 
 def streamed(
@@ -140,7 +138,7 @@ def test_a_resumed_run_with_a_window_equals_one_that_never_stopped(tmp_path: Pat
 
 def named(paths: Sequence[Path]) -> Group:
     return tuple(
-        Logged(path, sha256(path), len(episode))
+        Logged(str(path), sha256(path), len(episode))
         for path, episode in zip(paths, open_logs(paths), strict=True)
     )
 
@@ -158,7 +156,7 @@ def test_files_are_read_once_in_their_order_copies_included(
 
     monkeypatch.setattr(os, "open", counted)
     found = read(group)
-    assert sorted(opened) == sorted(str(each.path) for each in group)
+    assert sorted(opened) == sorted(each.path for each in group)
     episodes = [open_logs([each.path])[0] for each in group]
     wanted = np.concatenate([episode.state[:-1] for episode in episodes])
     np.testing.assert_array_equal(found.columns.steps["state"], wanted)
