@@ -96,7 +96,8 @@ def told(jobs: str, marker: str) -> None:
     with Crew(partial(collector, marker=Path(marker)), 2, jobs=jobs) as crew:
         source, policy = Collectors(crew, EACH, k=2), exploring()
         columns = [column.tobytes() for _ in range(3) for column in source.collect(3, policy)]
-        print(hashlib.sha256(b"".join(columns)).hexdigest(), dict(source.summary()))
+        digest = hashlib.sha256(b"".join(columns)).hexdigest()
+        sys.stdout.write(f"{digest} {dict(source.summary())}\n")
 
 
 def test_a_cluster_gives_the_same_bits_and_a_lost_collector_is_made_again(tmp_path: Path) -> None:
