@@ -24,7 +24,7 @@ from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
 from coordlog.train import run as runs
-from coordlog.train.bind import require_alike, task_of
+from coordlog.train.bind import learning_task, require_alike
 from coordlog.train.collectors import Collectors, shares
 from coordlog.train.columns import Columns
 from coordlog.train.events import EventFiles, require_tensorboard
@@ -249,7 +249,7 @@ def trainer_of(run: Run, source: LiveSource | None, hooks: Hooks) -> Trainer:
         logs = Columns.from_tables(run.logs.steps, run.logs.episodes)
     kept = ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
     return Trainer(
-        task_of(env.describe(), reward=env.task.reward),
+        learning_task(env.describe(), reward=env.task.reward),
         settings,
         folder=run.folder,
         logs=logs,

@@ -35,7 +35,7 @@ SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "st
 """Keys of the record that must agree for logs to be learnt from together."""
 
 
-def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
+def learning_task(env: Json, *, reward: RewardConfig | None = None) -> Task:
     """The task that a `coordlog.env` record describes.
 
     Args:

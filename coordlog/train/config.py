@@ -227,9 +227,6 @@ class ReplayConfig:
     """Live transitions stored before the first update."""
     log_fraction: float = 0.5
     """Share of each batch that comes from logs when there are logs and live transitions."""
-    reuse: float = 8.0
-    """How often a transition of logs that stream through a window (`--memory`) is drawn, on average,
-    before others take its place."""
     hindsight: float = 0.8
     """Share of each batch's live transitions whose goals are replaced by palms reached later in the
     same episode."""
@@ -275,7 +272,6 @@ class ReplayConfig:
             "between replay.batch and replay.capacity",
             self.warmup,
         )
-        require(self.reuse > 0, "replay.reuse", "a positive number", self.reuse)
         require(self.horizon >= 0, "replay.horizon", "a number ≥ 0", self.horizon)
         require(self.imitation >= 0, "replay.imitation", "a number ≥ 0", self.imitation)
         require(self.n_step >= 1, "replay.n_step", "at least 1", self.n_step)

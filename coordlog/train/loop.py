@@ -147,7 +147,7 @@ class Trainer:
         if isinstance(logs, Stream):
             replay, live = self.settings.replay, self.source is not None
             drawn = round(replay.log_fraction * replay.batch) if live else replay.batch
-            return logs.open(self.task.widths, self.task.reward, pace=drawn / replay.reuse)
+            return logs.open(self.task.widths, self.task.reward, drawn=drawn)
         store = None if logs is None else Transitions.of_logs(logs, self.task.reward)
         if store is not None and store.widths != self.task.widths:
             raise SpecError(

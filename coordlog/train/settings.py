@@ -118,7 +118,7 @@ UNSAID: dict[tuple[str, str], object] = {
         "network": ("ascent",),
         "loop": ("final_rate",),
         "behaviour": ("schedule",),
-        "replay": ("far", "cut", "reuse"),
+        "replay": ("far", "cut"),
         "train": ("start_line", "start_random", "start_solved", "inflate"),
     }.items()
     for key in keys

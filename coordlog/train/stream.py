@@ -27,6 +27,8 @@ from coordlog.train.transitions import Transitions, row_size
 
 GROUP = 16
 """Episodes that are read and enter the window together."""
+REUSE = 8.0
+"""How often a transition is drawn, on average, before others take its place."""
 ORDER = 2
 """What tells the generator of the order from those of batches (0) and exploration (1)."""
 
@@ -86,7 +88,7 @@ class Stream:
 
     Example:
         >>> stream = Stream(logged, read, memory=500_000_000, seed=0)     # doctest: +SKIP
-        >>> window = stream.open(widths, reward, pace=64.0)               # doctest: +SKIP
+        >>> window = stream.open(widths, reward, drawn=256)               # doctest: +SKIP
         >>> stream.feed(updates=0)                                        # doctest: +SKIP
     """
 
@@ -98,9 +100,10 @@ class Stream:
             reader: Reads groups of them.
             memory: Bytes that the window may take.
             seed: Seed of the order.
+            reuse: How often a transition is drawn, on average, before others take its place.
         """
         self._logged = sorted(logged, key=lambda each: (each.digest, each.path))
-        self._reader, self._memory, self._seed = reader, memory, seed
+        self._reader, self._memory, self._seed, self._reuse = reader, memory, seed, reuse
         self.transitions = sum(each.length for each in logged)
         """Of all episodes together."""
         self._groups: Iterator[Columns] | None = None
@@ -131,21 +134,22 @@ class Stream:
             "transitions": self.room(widths),
             "of": self.transitions,
             "episodes": len(self._logged),
+            "reuse": self._reuse,
         }
 
     def open(
-        self, widths: tuple[int, int, int], reward: RewardFunction, *, pace: float
+        self, widths: tuple[int, int, int], reward: RewardFunction, *, drawn: int
     ) -> Transitions:
         """The window, still empty.
 
         Args:
             widths: n_x, n_u and k.
             reward: The reward to learn from.
-            pace: Transitions that enter for each update, once the window is full. Where all fit,
-                they enter once and stay.
+            drawn: Transitions that are drawn for each update. Where all fit, they enter once and
+                stay.
         """
         self.window = Transitions.ring(self.room(widths), 1, widths=widths, reward=reward)
-        self._pace = pace
+        self._pace = drawn / self._reuse
         return self.window
 
     def feed(self, updates: int) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from coordlog.config import build
 from coordlog.errors import FormatError, StorageError, TruncatedError, unknown
 from coordlog.monitor import Monitor
 from coordlog.parallel import batches, mapped, shard
@@ -17,7 +16,6 @@ from coordlog.verify.finding import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from coordlog.episode import Array, Json
 
 LEVELS = ("file", "content", "replay")
 BATCH = 32
@@ -142,24 +140,28 @@ def check_files(paths: Sequence[Path], *, level: str) -> Checked:
         level: "file": structure and checksums. "content": and values. "replay": and the physics,
             bit for bit.
     """
+    from coordlog.record.recording import Recording
     from coordlog.verify.file import check as check_one
     from coordlog.verify.file import rewritten
+    from coordlog.verify.observed import judged
 
     findings: list[Finding] = []
     notes: list[str] = []
+    observed: dict[str, str] = {}
     for path in paths:
+        recording = Recording(path)
         try:
-            found = check_one(
-                path, level="file" if level == "file" else "content", rewards=logged_rewards
-            )
+            found = check_one(recording, level="file" if level == "file" else "content")
             findings += found
-            if not found and (note := rewritten(path)):
+            if not found and (note := rewritten(recording)):
                 notes.append(f"{path}: {note}")
+            if not found and level != "replay" and (said := judged(recording)):
+                observed[str(path)] = said
         except StorageError as error:  # it could be read a moment ago
-            said = str(error).removeprefix(f"{path}: ")
-            findings.append(Finding(str(path), "file", None, "file", "a readable file", said))
+            why = str(error).removeprefix(f"{path}: ")
+            findings.append(Finding(str(path), "file", None, "file", "a readable file", why))
     if level != "replay":
-        return Checked(findings, _observed(paths, findings), len(paths), 0, tuple(notes))
+        return Checked(findings, observed, len(paths), 0, tuple(notes))
     from coordlog.verify.physics import check_replay
     from coordlog.verify.trial import runnable
 
@@ -170,28 +172,3 @@ def check_files(paths: Sequence[Path], *, level: str) -> Checked:
     replays = check_replay([path for path in paths if str(path) not in damaged])
     findings += replays.findings
     return Checked(findings, replays.inexact, len(paths), replays.steps, tuple(notes))
-
-
-def _observed(paths: Sequence[Path], findings: list[Finding]) -> dict[str, str]:
-    """What is to be said of the episodes that came from outside."""
-    from coordlog.verify.observed import judged
-
-    damaged = {item.path for item in findings}
-    said = {str(path): judged(path) for path in paths if str(path) not in damaged}
-    return {path: text for path, text in said.items() if text}
-
-
-def logged_rewards(
-    distance: Array,
-    boundary: Array,
-    goal: Array,
-    collision: Array,
-    instability: Array,
-    constants: Json,
-) -> Array:
-    """The reward equation with the constants of a log, (T, k)."""
-    from coordlog.tasks.config import RewardConfig
-    from coordlog.tasks.reach.reward import Flags, rewards
-
-    flags = Flags(boundary, goal, collision, instability)
-    return rewards(distance, flags, build(RewardConfig, constants))

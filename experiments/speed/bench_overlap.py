@@ -27,7 +27,7 @@ from coordlog.api.practice import record_training
 from coordlog.episode import Array
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import find
-from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.bind import FARTHEST, learning_task
 from coordlog.train.columns import Block
 from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
@@ -123,7 +123,9 @@ def train(options: argparse.Namespace, ratio: float, overlap: str) -> Run:
         record_training(env, Path(folder), run="") as recorder,
     ):
         source = Timed(recorder, seed=0, k=env.layout.k, farthest=FARTHEST * env.scene.robot.reach)
-        trainer = Trainer(task_of(env.describe()), settings, folder=Path(folder), source=source)
+        trainer = Trainer(
+            learning_task(env.describe()), settings, folder=Path(folder), source=source
+        )
         began = time.perf_counter()
         outcome = trainer.run()
         seconds = time.perf_counter() - began

@@ -35,7 +35,7 @@ from coordlog.kinematics.clearance import SceneChecker
 from coordlog.mjcf import load_model
 from coordlog.record.dataset import find_files
 from coordlog.record.reader import read_attachments, read_episode
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.tracking import run
 from coordlog.smooth import metrics
 from coordlog.smooth.execute import execute, follow, worse
@@ -73,7 +73,7 @@ class Bench:
             np.frombuffer(attachments[INITIAL_STATE]),
             self.episode.action,
         )
-        self.task = task_of(self.log)
+        self.task = bound_task(self.log)
         self.time, self.q = self.episode.time, self.episode.qpos[:, self.task.qpos_index]
         self.knots = clean(self.time, self.q)
         self.data = mujoco.MjData(model)

@@ -36,7 +36,7 @@ from coordlog.record.pack_writer import PackWriter
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recording import Recording
 from coordlog.record.writer import write_episode
-from coordlog.train.bind import task_of
+from coordlog.train.bind import learning_task
 from coordlog.train.columns import Columns
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import load_settings
@@ -132,8 +132,8 @@ def speed(made: list[Path], pack: Path, folder: Path, options: argparse.Namespac
     )
     stream = stream_of(logs, memory=TrainPlan(memory=options.memory).window, jobs=0, seed=0)
     trainers = {
-        "memory": Trainer(task_of(env), settings, folder=folder / "a", logs=every),
-        "window": Trainer(task_of(env), settings, folder=folder / "b", logs=stream),
+        "memory": Trainer(learning_task(env), settings, folder=folder / "a", logs=every),
+        "window": Trainer(learning_task(env), settings, folder=folder / "b", logs=stream),
     }
     began, readers = time.perf_counter(), sum(os.times()[2:4])
     for trainer in trainers.values():

@@ -10,7 +10,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.scoring import evaluate, figures
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.scene import find
-from coordlog.train.bind import FARTHEST, task_of
+from coordlog.train.bind import FARTHEST, learning_task
 from coordlog.train.live import Simulations
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import load_settings
@@ -36,7 +36,10 @@ def test_the_planar_arm_is_learnt_live_within_a_minute(tmp_path: Path) -> None:
     k, reach = env.layout.k, env.scene.robot.reach
     source = Simulations(env, seed=0, k=k, farthest=FARTHEST * reach)
     trainer = Trainer(
-        task_of(env.describe()), load_settings(assignments=SETTINGS), folder=tmp_path, source=source
+        learning_task(env.describe()),
+        load_settings(assignments=SETTINGS),
+        folder=tmp_path,
+        source=source,
     )
     try:
         assert trainer.run().ending == "finished"

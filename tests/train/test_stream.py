@@ -36,7 +36,12 @@ def listed(columns: Columns) -> list[Logged]:
 
 
 def streamed(
-    columns: Columns, *, rows: int, seed: int = 0, asked: list[int] | None = None
+    columns: Columns,
+    *,
+    rows: int,
+    seed: int = 0,
+    reuse: float = 8.0,
+    asked: list[int] | None = None,
 ) -> Stream:
     """A stream of these episodes with a window of so many transitions."""
 
@@ -47,13 +52,13 @@ def streamed(
                 asked.extend(places)
             yield columns.of(places)
 
-    return Stream(listed(columns), reader, memory=rows * row_size(WIDTHS), seed=seed)
+    return Stream(listed(columns), reader, memory=rows * row_size(WIDTHS), seed=seed, reuse=reuse)
 
 
 def test_the_window_holds_whole_transitions_of_the_set_and_the_newest_of_the_order() -> None:
     columns, asked = toy.logs(200), list[int]()
     stream = streamed(columns, rows=900, asked=asked)
-    window = stream.open(WIDTHS, toy.reward, pace=10.0)
+    window = stream.open(WIDTHS, toy.reward, drawn=80)
     whole = Transitions.of_logs(columns, toy.reward)
     every = np.arange(len(whole))
     known = {row.tobytes(): at for at, row in zip(every, whole.take("state", every), strict=True)}
@@ -79,7 +84,7 @@ def test_the_order_depends_on_the_seed_and_the_episodes_not_on_how_they_are_list
         if turned:
             logged = list(reversed(stream._logged))
             stream = Stream(logged, stream._reader, memory=stream._memory, seed=seed)
-        stream.open(WIDTHS, toy.reward, pace=10.0)
+        stream.open(WIDTHS, toy.reward, drawn=80)
         stream.feed(100)
         orders.append(asked[:60])
     assert orders[0] == orders[1] != orders[2]
@@ -88,7 +93,7 @@ def test_the_order_depends_on_the_seed_and_the_episodes_not_on_how_they_are_list
 def test_a_set_that_fits_is_read_once_and_stays() -> None:
     columns, asked = toy.logs(40), list[int]()
     stream = streamed(columns, rows=10_000, asked=asked)
-    window = stream.open(WIDTHS, toy.reward, pace=10.0)
+    window = stream.open(WIDTHS, toy.reward, drawn=80)
     for updates in (0, 100, 10_000):
         stream.feed(updates)
     assert sorted(asked) == list(range(40))
@@ -98,7 +103,7 @@ def test_a_set_that_fits_is_read_once_and_stays() -> None:
 def test_goals_in_hindsight_are_of_the_same_episode(rng: np.random.Generator) -> None:
     columns = toy.logs(200)
     stream = streamed(columns, rows=900)
-    window = stream.open(WIDTHS, toy.reward, pace=10.0)
+    window = stream.open(WIDTHS, toy.reward, drawn=80)
     stream.feed(150)
     rows, view = window.draw(rng, 500), toy.view()
     then, _ = window.later(rng, rows, 0)
@@ -113,15 +118,15 @@ def test_a_window_too_small_for_a_few_episodes_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"--memory: expected at least 1 MB, room for 32 episodes"
     ):
-        streamed(toy.logs(200), rows=100).open(WIDTHS, toy.reward, pace=1.0)
+        streamed(toy.logs(200), rows=100).open(WIDTHS, toy.reward, drawn=8)
 
 
 def test_a_resumed_run_with_a_window_equals_one_that_never_stopped(tmp_path: Path) -> None:
     columns = toy.logs(200)
-    wanted = settings(*LOGS, "replay.reuse=1", "replay.log_hindsight=0.4", "loop.evaluate_every=0")
+    wanted = settings(*LOGS, "replay.log_hindsight=0.4", "loop.evaluate_every=0")
 
     def made(name: str, hooks: Hooks | None = None) -> Trainer:
-        stream = streamed(columns, rows=700)
+        stream = streamed(columns, rows=700, reuse=1)
         return Trainer(toy.task(), wanted, folder=tmp_path / name, logs=stream, hooks=hooks)
 
     whole, parts = made("whole"), made("parts")

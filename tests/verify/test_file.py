@@ -19,7 +19,7 @@ from tests.synthetic import ATTACHMENTS, HUMANOID, PLANAR, make_episode, rewards
 
 
 def checked(path, level="content"):
-    return check(path, level=level, rewards=rewards)
+    return check(path, level=level)
 
 
 def written(path, episode, *, display=False):

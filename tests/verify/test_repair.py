@@ -14,7 +14,7 @@ from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.verify.file import check
 from coordlog.verify.repair import ABORTED, recover, restored_whole, salvaged
 from tests.record.test_reader import bad_files, foreign_mcap
-from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome, rewards
+from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome
 
 
 def assert_prefix(got, original):
@@ -53,7 +53,7 @@ def test_a_part_file_becomes_an_episode_up_to_the_last_known_outcome(tmp_path, e
     got = read_episode(path)
     assert_prefix(got, episode)
     assert got.result.aborted == ABORTED
-    assert check(path, rewards=rewards) == []
+    assert check(path) == []
     assert read_attachments(path) == ATTACHMENTS
     assert part.read_bytes() == before
     assert sorted(os.listdir(tmp_path)) == ["a.mcap", "a.mcap.part"]
@@ -91,7 +91,7 @@ def test_a_cut_at_any_byte_gives_a_valid_file_or_a_refusal(tiny_file, tmp_path):
             assert str(recovered).startswith(f"{part}: ")
             assert not part.with_suffix("").exists()
             continue
-        assert check(recovered.path, rewards=rewards) == []
+        assert check(recovered.path) == []
         valid += 1
     assert valid > 40
 
