@@ -92,7 +92,15 @@ class Stream:
         >>> stream.feed(updates=0)                                        # doctest: +SKIP
     """
 
-    def __init__(self, logged: Sequence[Logged], reader: Reader, *, memory: int, seed: int) -> None:
+    def __init__(
+        self,
+        logged: Sequence[Logged],
+        reader: Reader,
+        *,
+        memory: int,
+        seed: int,
+        reuse: float = REUSE,
+    ) -> None:
         """Read nothing yet.
 
         Args:

@@ -15,7 +15,7 @@ import torch
 from coordlog.api.judging import Judge, evaluation_envs
 from coordlog.api.train_plan import TrainPlan, preset_of
 from coordlog.cli import app
-from coordlog.errors import CoordlogError
+from coordlog.errors import ConfigError, CoordlogError
 from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
 from coordlog.tasks.config import TRAINING_ONLY
@@ -184,8 +184,10 @@ def test_logs_stream_beside_the_steps_of_two_collectors(
     )
     indices = [episode.header.episode["index"] for episode in open_logs(run / "episodes" / "train")]
     assert len(indices) == len(set(indices)) >= 4
-    for changed in (["--memory", "3MB", *given], [*given[:2], "1", "--memory", "2MB", *given[3:]]):
-        coordlog(cache, "train", "--from", logs, *changed, "--out", run, "--resume", wanted=2)
+    before = json.loads((run / "run.json").read_text())
+    for key, other in (("window", None), ("collectors", 1)):
+        with pytest.raises(ConfigError, match=f"its {key}"):
+            require_same(before, before | {key: other}, folder=run)
 
 
 def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
