@@ -14,7 +14,6 @@ from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-
     from coordlog.record.cache import Built, Logs
 
 
@@ -28,7 +27,7 @@ def load_logs(
     *,
     where: str = "",
     skip_broken: bool = False,
-    jobs: int = 0,
+    jobs: int | str = 0,
     verify: bool = False,
     monitor: Monitor | None = None,
 ) -> Logs:
