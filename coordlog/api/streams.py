@@ -49,7 +49,7 @@ def listed(
     from coordlog.catalog.gather import gather
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
-    from coordlog.record.files import Skipped, find_files, nothing_found
+    from coordlog.record.files import find_files, nothing_found
     from coordlog.record.recording import Recording
 
     def run(function: Callable[[Job], Rows], work: Sequence[Job]) -> Iterator[Rows]:
@@ -60,10 +60,10 @@ def listed(
                 yield rows
 
     found = gather(paths, run=run)
-    for reason in found.left_out:
+    for one in found.skipped:
         if not skip_broken:
-            raise FormatError(f"{reason}; --skip-broken learns from the others")
-        monitor.note(f"skipped: {reason}")
+            raise FormatError(f"{one.reason}; --skip-broken learns from the others")
+        monitor.note(f"skipped: {one.reason}")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows) and where:
         raise ConfigError(f"--where: no episode satisfies: {where}")
@@ -77,8 +77,7 @@ def listed(
         )
     first = json.dumps(Recording(rows.column("file")[0].as_py()).header.env)
     envs = pa.array([first] + [""] * (len(rows) - 1))  # of the others it is looked at when read
-    skipped = tuple(Skipped(Path(), reason) for reason in found.left_out)
-    return Logs(pa.table({}), rows.append_column("env", envs), skipped)
+    return Logs(pa.table({}), rows.append_column("env", envs), tuple(found.skipped))
 
 
 def stream_of(logs: Logs, *, memory: int, jobs: int | str, seed: int) -> Stream:
