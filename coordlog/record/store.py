@@ -84,7 +84,7 @@ class LocalStore(Store):
         Raises:
             StorageError: if there is no such folder.
         """
-        return self.entries(find_files(self.folder))
+        return [*self.entries(find_files(self.folder))]
 
     def entries(self, files: Files) -> Sequence[Entry]:
         """What a walk over the folder found, as entries."""
