@@ -163,7 +163,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge(envs, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2, elsewhere=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
