@@ -14,7 +14,6 @@ from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-
     from coordlog.record.cache import Built, Logs
 
 
