@@ -47,9 +47,10 @@ class Settings:
 
 PRESETS: dict[str, Settings] = {
     "default": Settings(),
-    # From logs alone, in under a minute: ten steps of imitation for one of a critic, and rates that fall to a twentieth, since what is
+    # From logs alone, in about a minute: ten steps of imitation for one of a critic, and rates that fall to a twentieth, since what is
     # imitated is noisy.
     "quick": Settings(
+        learner=LearnerConfig(actor_rate=2e-3),
         behaviour=BehaviourConfig(final=20.0, extra=9),
         loop=LoopConfig(updates=500, final_rate=0.05, evaluate_every=250),
     ),
