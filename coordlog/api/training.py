@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from coordlog.api.following import Follower, watch
-from coordlog.api.judging import ENVS, RANK, SEED, Judge, evaluation_envs
+from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
 from coordlog.api.practice import Practice, collector, record_training
 from coordlog.api.streams import listed, stream_of
 from coordlog.api.train_plan import Constants, TrainPlan, constants
+from coordlog.catalog.asking import catalogued
 from coordlog.crew import Crew
 from coordlog.monitor import Monitor
+from coordlog.record.files import find_files
 from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
@@ -95,7 +97,16 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         follower = Follower(
             stack.enter_context(bar), by_steps=by_steps, window=window, events=events
         )
-        judge = Judge(run.judged, folder, run=run.name, episodes=plan.eval_episodes, window=window)
+        episodes = plan.eval_episodes
+        elsewhere = max(1, episodes // ELSEWHERE) if plan.mode == "logs" else episodes
+        judge = Judge(
+            run.judged,
+            folder,
+            run=run.name,
+            episodes=episodes,
+            elsewhere=elsewhere,
+            window=window,
+        )
         source: LiveSource | None = None
         if plan.collectors:
             crew = Crew(partial(collector, practice_of(run)), plan.collectors, jobs=plan.jobs)
@@ -112,6 +123,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
+    episodes = folder / "episodes"
+    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 

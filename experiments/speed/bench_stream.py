@@ -50,6 +50,7 @@ Row = tuple[str, float, str]
 
 
 def main() -> None:
+    """Measure both."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
