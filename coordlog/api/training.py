@@ -97,15 +97,10 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         follower = Follower(
             stack.enter_context(bar), by_steps=by_steps, window=window, events=events
         )
-        episodes = plan.eval_episodes
-        elsewhere = max(1, episodes // ELSEWHERE) if plan.mode == "logs" else episodes
+        count = plan.eval_episodes
+        elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count
         judge = Judge(
-            run.judged,
-            folder,
-            run=run.name,
-            episodes=episodes,
-            elsewhere=elsewhere,
-            window=window,
+            run.judged, folder, run=run.name, episodes=count, elsewhere=elsewhere, window=window
         )
         source: LiveSource | None = None
         if plan.collectors:
@@ -123,8 +118,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
-    episodes = folder / "episodes"
-    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
+    recorded = folder / "episodes"
+    catalogued(recorded, find_files(recorded).paths if recorded.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 

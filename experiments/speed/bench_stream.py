@@ -50,7 +50,7 @@ Row = tuple[str, float, str]
 
 
 def main() -> None:
-    """Measure both."""
+    """Measure as the options say."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
