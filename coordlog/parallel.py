@@ -171,7 +171,8 @@ def _cluster(address: str) -> Iterator[Any]:
             ray.init(address, **quiet)
     except Exception as error:  # noqa: BLE001 - Ray raises whatever its transport does
         raise ConfigError(
-            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head needs"
+            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head "
+            "needs"
             f" Ray {ray.__version__}, as here, and the same Python"
         ) from None
     try:

@@ -29,7 +29,7 @@ class DamperConfig:
     """
 
     safe: float = 0.03
-    """Gap between an arm's last link and an obstacle that may not become narrower on the way [m]."""
+    """Gap that an arm's last link keeps to an obstacle on the way [m]."""
     close: float = 0.01
     """The same with the palms at the goals [m]."""
     on_the_way: float = 0.15

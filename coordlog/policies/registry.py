@@ -156,7 +156,8 @@ def make_policy(
         constants: Of a scripted policy, and of the velocity damper.
 
     Raises:
-        ConfigError: for an unknown name or constant, or a shield where there is nothing to be shielded from.
+        ConfigError: for an unknown name or constant, or a shield where there is nothing to be
+            shielded from.
         SpecError: if a trained policy does not fit the environment's state or action.
     """
     from coordlog.policies.scripted import Constants, shield_said, with_shield
@@ -183,7 +184,8 @@ def _unshielded(name: str, env: BatchEnv, constants: Constants) -> tuple[Policy,
     for key in ("state", "action_joints"):
         if there[key] != here[key]:
             raise SpecError(
-                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{scene}'"
+                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in "
+                f"scene '{scene}'"
             )
     if (trained.n_x, trained.n_u) != (len(here["state"]), len(here["action_joints"])):
         raise SpecError(

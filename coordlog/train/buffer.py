@@ -58,7 +58,8 @@ class ReplayBuffer:
         """
         if capacity < lanes:
             raise ConfigError(
-                f"replay.capacity: expected at least one transition per simulation, {lanes}, got {capacity}"
+                f"replay.capacity: expected at least one transition per simulation, {lanes}, got "
+                f"{capacity}"
             )
         n_x, n_u, k = widths
         self.widths, self.slots, self.lanes, self._reward = widths, capacity // lanes, lanes, reward
@@ -99,7 +100,8 @@ class ReplayBuffer:
         n = len(block.step)
         if n > self.slots:
             raise ConfigError(
-                f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got {n}"
+                f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got "
+                f"{n}"
             )
         flat = {
             name: array.reshape(n * self.lanes, *array.shape[2:])
@@ -222,7 +224,8 @@ class ReplayBuffer:
                 reached = last
         if reached != total:
             raise StorageError(
-                f"{folder}: expected saved steps up to {total}, found them up to {reached}; the checkpoint cannot be resumed"
+                f"{folder}: expected saved steps up to {total}, found them up to {reached}; the "
+                "checkpoint cannot be resumed"
             )
         self.total = self._saved = total
 

@@ -53,13 +53,15 @@ class Columns:
         n, episodes = int(np.sum(self.length)), len(self.length)
         if n == 0 or np.min(self.length) < 1:
             raise SpecError(
-                f"logs: expected episodes of at least one step, got {episodes} episodes of {n} steps in all"
+                f"logs: expected episodes of at least one step, got {episodes} episodes of {n} "
+                "steps in all"
             )
         for name in (*STEP_COLUMNS, "final"):
             rows, wanted = len(getattr(self, name)), episodes if name == "final" else n
             if rows != wanted:
                 raise SpecError(
-                    f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, got {rows}"
+                    f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, "
+                    f"got {rows}"
                 )
         for name in ("state", "action", "final"):
             if getattr(self, name).dtype != np.float32:

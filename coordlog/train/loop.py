@@ -84,7 +84,8 @@ class Trainer:
         _require_device(device)
         if source is not None and loop.steps == 0:
             raise ConfigError(
-                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone"
+                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to "
+                "train from logs alone"
             )
         if source is None and loop.updates == 0:
             raise ConfigError(
@@ -92,12 +93,14 @@ class Trainer:
             )
         if logs is None and loop.pretrain > 0:
             raise ConfigError(
-                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none"
+                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live "
+                "step, got none"
             )
         store = None if logs is None else LogReplay(logs, task.reward)
         if store is not None and store.widths != task.widths:
             raise SpecError(
-                f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state"
+                f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they "
+                "are of another robot or state"
             )
         self.log_transitions = 0 if store is None else len(store)
         self.buffer = (
@@ -392,7 +395,8 @@ class Trainer:
         refuse_changes(self.settings, meta["settings"])
         if meta["log_transitions"] != self.log_transitions:
             raise ConfigError(
-                f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}"
+                f"resume: expected the {meta['log_transitions']} log transitions of before, got "
+                f"{self.log_transitions}"
             )
         self.learner.load_state(
             {key: torch.from_numpy(value) for key, value in under("learner.", arrays).items()}
@@ -414,5 +418,6 @@ def _require_device(name: str) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(
-            f"device: expected cpu, or another that this machine and this build of torch have, got '{name}': {reason}"
+            "device: expected cpu, or another that this machine and this build of torch have, got "
+            f"'{name}': {reason}"
         ) from error
