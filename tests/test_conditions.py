@@ -4,21 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pyarrow as pa
 import pytest
 
-from coordlog.api.logs import described
-from coordlog.conditions import matching
+from coordlog.catalog.asking import chosen
 from coordlog.errors import ConfigError
-from coordlog.record.cache import load
 
 FILES = sorted((Path(__file__).parent / "data" / "v1" / "table").glob("*.mcap"))
-
-
-@pytest.fixture(scope="module")
-def episodes(tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
-    folder = tmp_path_factory.mktemp("cache")
-    return described(load(FILES, folder, run=lambda build, groups: map(build, groups)))
 
 
 @pytest.mark.parametrize(
@@ -37,8 +28,8 @@ def episodes(tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
         ("returns[1] / 0 is not null or clean", [0, 1, 2]),
     ],
 )
-def test_a_condition_chooses_episodes(episodes: pa.Table, where: str, rows: list[int]) -> None:
-    assert matching(episodes, where) == rows
+def test_a_condition_chooses_episodes(where: str, rows: list[int]) -> None:
+    assert chosen(FILES, where).paths == tuple(FILES[row] for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -81,6 +72,6 @@ def test_a_condition_chooses_episodes(episodes: pa.Table, where: str, rows: list
         "\0",
     ],
 )
-def test_whatever_is_more_than_a_condition_is_refused(episodes: pa.Table, where: str) -> None:
-    with pytest.raises(ConfigError, match="--where: expected an SQL condition over length"):
-        matching(episodes, where)
+def test_whatever_is_more_than_a_condition_is_refused(where: str) -> None:
+    with pytest.raises(ConfigError, match="--where: expected an SQL condition over path"):
+        chosen(FILES, where)

@@ -30,6 +30,8 @@ RANK = ("clean", "overall", "score")
 
 Among equals the one cleanest from all.
 """
+ELSEWHERE = 5
+"""From logs alone, which begin in one pose, the others are judged on one problem in so many."""
 STARTS = ("stand", "home")
 """Poses that evaluations begin in, as far as the robot has them."""
 
@@ -66,6 +68,7 @@ class Judge:
         *,
         run: str,
         episodes: int,
+        elsewhere: int,
         window: Live | None = None,
     ) -> None:
         """Write nothing yet.
@@ -74,16 +77,12 @@ class Judge:
             envs: What to judge in, as `evaluation_envs` makes them.
             folder: The run folder.
             run: Name of the run, for its recordings.
-            episodes: Problems per start pose.
+            episodes: Problems from the first start pose.
+            elsewhere: Problems from each of the others.
             window: Where evaluations are shown, if anywhere.
         """
-        self._envs, self._run, self._window, self._folder, self._episodes = (
-            envs,
-            run,
-            window,
-            folder,
-            episodes,
-        )
+        self._envs, self._run, self._window, self._folder = envs, run, window, folder
+        self._episodes = dict.fromkeys(envs, elsewhere) | {"": episodes}
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float | str]:
         """Figures of merit after so many updates: those of `scoring.figures` per start pose, and
@@ -124,7 +123,9 @@ class Judge:
         weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
         run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
         with Recorder(env, folder, policy=said, display=False, run=run) as recorder:
-            return judged(recorder, policy, episodes=self._episodes, k=env.layout.k, seed=SEED)
+            return judged(
+                recorder, policy, episodes=self._episodes[prefix], k=env.layout.k, seed=SEED
+            )
 
 
 def suffix(prefix: str) -> str:

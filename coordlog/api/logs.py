@@ -8,14 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.conditions import matching
-from coordlog.errors import ConfigError, FormatError, SpecError
+from coordlog.catalog.asking import chosen
+from coordlog.errors import FormatError, SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from coordlog.record.cache import Built, Logs
 
 
@@ -44,7 +42,7 @@ def load_logs(
     from coordlog.record.cache import load
     from coordlog.record.files import find_files, nothing_found
 
-    files = find_files(paths)
+    files = chosen(paths, where, jobs=jobs, monitor=monitor) if where else find_files(paths)
     if not files.paths:
         raise nothing_found(paths, files, wanted="no logs: ")
     heard = monitor or Monitor()
@@ -65,25 +63,15 @@ def load_logs(
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
         heard.note(f"skipped: {item.path}: {item.reason}")
-    rows = matching(described(logs), where) if where else range(len(logs))
-    if not rows:
-        raise ConfigError(f"--where: no episode of {len(logs)} satisfies: {where}")
-    chosen = logs.select(rows) if where else logs
-    scenes = sorted(set(chosen.episodes.column("scene").to_pylist()))
+    scenes = sorted(set(logs.episodes.column("scene").to_pylist()))
     if len(scenes) > 1:
         raise SpecError(
             f"logs of several scenes ({', '.join(scenes)}): learn from one, "
             f"for example --where \"scene = '{scenes[0]}'\""
         )
-    _require_task(chosen)
-    _require_alike(chosen)
-    return chosen
-
-
-def described(logs: Logs) -> pa.Table:
-    """What a condition may ask of each episode."""
-    names = [name for name in logs.episodes.column_names if name not in ("state", "env")]
-    return logs.episodes.select(names)
+    _require_task(logs)
+    _require_alike(logs)
+    return logs
 
 
 def _require_task(logs: Logs) -> None:

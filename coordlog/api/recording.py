@@ -100,6 +100,7 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
         SimulationError: if physics cannot be built.
         StorageError: if a file cannot be written.
     """
+    from coordlog.catalog.asking import catalogued
     from coordlog.config import read_toml
     from coordlog.policies.scripted import TABLES, with_noise
     from coordlog.record.branches import Branched
@@ -136,6 +137,7 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
                     break
         progress.update(len(sink.done))
     seconds = time.perf_counter() - began
+    catalogued(out, [item.path for item in sink.done])
     if seldom := scarce(env):
         monitor.note(seldom)
     found = _figures(board, sink, recorder, steps=steps, seconds=seconds)

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from coordlog.api.following import Follower, watch
-from coordlog.api.judging import ENVS, RANK, SEED, Judge, evaluation_envs
+from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
 from coordlog.api.train_plan import Constants, TrainPlan, constants
+from coordlog.catalog.asking import catalogued
 from coordlog.monitor import Monitor
+from coordlog.record.files import find_files
 from coordlog.record.recorder import Recorder
 from coordlog.sim.making import make_env, true_scene
 from coordlog.tasks.own import scene_of
@@ -90,7 +92,11 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         follower = Follower(
             stack.enter_context(bar), by_steps=by_steps, window=window, events=events
         )
-        judge = Judge(run.judged, folder, run=run.name, episodes=plan.eval_episodes, window=window)
+        count = plan.eval_episodes
+        elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count
+        judge = Judge(
+            run.judged, folder, run=run.name, episodes=count, elsewhere=elsewhere, window=window
+        )
         recorder = None
         if plan.mode != "logs":
             recorder = stack.enter_context(record_training(practising(run), folder, run=run.name))
@@ -101,6 +107,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
+    episodes = folder / "episodes"
+    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 

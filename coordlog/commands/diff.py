@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
 from coordlog.commands.options import Jobs, json_flag
 from coordlog.errors import EXIT_CHECK_FAILED
 
@@ -36,9 +35,12 @@ def diff(
 
         coordlog diff logs/ PACK/
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.selection import difference
 
-    found = difference(gathered([a], jobs=jobs), gathered([b], jobs=jobs))
+    watcher = terminal.Watcher()
+    one, other = (gathered([each], jobs=jobs, monitor=watcher) for each in (a, b))
+    found = difference(one, other)
     if as_json:
         terminal.print_json(asdict(found))
     else:

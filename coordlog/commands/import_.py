@@ -190,6 +190,7 @@ def _import(
     force: bool,
     as_json: bool,
 ) -> None:
+    from coordlog.catalog.asking import catalogued
     from coordlog.exchange.importing import import_source
 
     done: list[Imported] = []
@@ -200,6 +201,7 @@ def _import(
             bar.update(task, advance=1, note=f"{sum(len(each.paths) for each in done)} episodes")
             if interrupted:
                 break
+    catalogued(out, [path for each in done for path in each.paths])
     if as_json:
         terminal.print_json([_report(each) for each in done])
     else:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
 from coordlog.commands.options import Jobs, Shard, json_flag
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
 from coordlog.parallel import shard as share
@@ -45,6 +44,7 @@ def pack(
 
         coordlog check PACK/
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.packing import pack_files
     from coordlog.record.places import require_folder
 
@@ -61,7 +61,8 @@ def pack(
             stop=lambda: bool(interrupted),
         )
     if catalogue and not interrupted:
-        left_out += [f"skipped: {each}" for each in gathered([out], jobs=jobs).left_out]
+        found = gathered([out], jobs=jobs, monitor=terminal.Watcher(), tell=False)
+        left_out += [f"skipped: {path}: {why}" for path, why in found.skipped]
     _tell(done, f"{out}: {done.files:,} episodes packed", as_json=as_json)
     _finish(bool(interrupted), left_out)
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
 from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
 
@@ -59,11 +58,12 @@ def query(
 
         coordlog query "select max(abs(qvel[7])) from steps" logs/ --steps --where "scene = 'table'"
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.query import ask
 
     if out is not None and out.suffix not in FORMATS:
         raise ConfigError(f"--out: expected a name that ends in {', '.join(FORMATS)}, got {out}")
-    found = gathered(path or [Path("logs")], scan=scan, jobs=jobs)
+    found = gathered(path or [Path("logs")], scan=scan, jobs=jobs, monitor=terminal.Watcher())
     table = ask(sql, found.sources, where=where, steps=steps)
     if out is not None:
         _write(table, out)
@@ -72,7 +72,7 @@ def query(
         terminal.print_json(_rows(table))
     else:
         _show(table)
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)
 
 

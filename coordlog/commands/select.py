@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
 from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
 
@@ -55,6 +54,7 @@ def select(
 
         coordlog train --from clean.manifest:train
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.selection import Split
     from coordlog.catalog.selection import select as chosen
     from coordlog.record import manifest
@@ -62,7 +62,7 @@ def select(
     if out.suffix != manifest.SUFFIX:
         raise ConfigError(f"--out: expected a name that ends in {manifest.SUFFIX}, got {out}")
     how = Split.parse(split, by=by, seed=seed) if split else None
-    found = gathered(path, jobs=jobs)
+    found = gathered(path, jobs=jobs, monitor=terminal.Watcher())
     lists = [manifest.read(each) for each in minus or []]
     made = chosen(found, where=where, minus=lists, unique=unique, split=how, label=label, out=out)
     if not made.chosen:
@@ -86,5 +86,5 @@ def select(
             highlight=False,
             markup=False,
         )
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)

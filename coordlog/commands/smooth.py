@@ -76,6 +76,7 @@ def smooth(
 
         coordlog smooth logs/ --out smoothed/ --cutoff 2 --clearance 0.01 --report report.json
     """
+    from coordlog.catalog.asking import catalogued
     from coordlog.record.places import require_folder
     from coordlog.smooth.batch import smooth_logs
     from coordlog.smooth.report import SKIPPED
@@ -95,6 +96,8 @@ def smooth(
     how: Json = {"write": not dry_run, "force": force, "share": shard, "processes": jobs}
     with terminal.interruptible() as monitor:
         found = smooth_logs(path, out, settings, **how, monitor=monitor)
+    if not dry_run:
+        catalogued(out, [Path(row["target"]) for row in found["rows"]])
     if report is not None:
         _write_report(report, found)
     if as_json:

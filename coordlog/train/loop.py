@@ -126,6 +126,7 @@ class Trainer:
             config=settings.learner,
             bounds=bounds,
             seed=loop.seed,
+            average=loop.average,
             device=device,
         )
         self.steps, self.best = 0, dict[str, float]()
@@ -193,9 +194,7 @@ class Trainer:
 
     def policy(self) -> Policy:
         """What the run has learnt so far, as a function and file of its own."""
-        return self._policy(
-            self.learner.target_actor if self.settings.loop.averaged else self.learner.actor
-        )
+        return self._policy(self.learner.average_actor)
 
     def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network
@@ -260,16 +259,13 @@ class Trainer:
         self.steps += block.step.size
 
     def _update(self, count: int) -> None:
+        behaviour = self.settings.behaviour
         for _ in range(count):
             self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
-            weight = self.settings.behaviour.at(self.progress)
-            self._tally.add(
-                self.learner.update(
-                    self.replay.sample(self._rng),
-                    behaviour_weight=weight,
-                    effort=self.settings.behaviour.effort,
-                )
-            )
+            pull = {"behaviour_weight": behaviour.at(self.progress), "effort": behaviour.effort}
+            for _ in range(behaviour.extra if self.source is None else 0):
+                self.learner.imitate(self.replay.examples(self._rng), **pull)
+            self._tally.add(self.learner.update(self.replay.sample(self._rng), **pull))
 
     def _pause(self, before: int) -> Event | None:
         """Whatever is due between two rounds."""

@@ -12,7 +12,7 @@ import torch
 from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.train.config import ReplayConfig
-from coordlog.train.digrad import Batch
+from coordlog.train.digrad import Batch, Examples
 from coordlog.train.relabel import GoalView, RewardFunction, outcome, reorder, set_goals
 from coordlog.train.returns import Return, n_step
 from coordlog.train.task import Motion, Task
@@ -257,6 +257,17 @@ class MixedReplay:
         if self._config.reorder and self._task.spheres:
             reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
+
+    def examples(self, rng: np.random.Generator) -> Examples:
+        """What was done in logs, as it was done; what something went wrong soon after weighs 0."""
+        assert self._logs is not None
+        rows = self._logs.draw(rng, self._config.batch)
+        state = np.array(self._logs.take("state", rows))
+        if self._config.reorder and self._task.spheres:
+            reorder(rng, self._task.spheres, self._task.listed, state)
+        clean = self._logs.clean(rows, self._config.horizon)[:, None].astype(np.float32)
+        arrays = (state, np.array(self._logs.take("action", rows)), clean)
+        return Examples(*(torch.from_numpy(array).to(self._device) for array in arrays))
 
     def _logged(self) -> int:
         """Number of log transitions in the next batch."""

@@ -16,10 +16,10 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
-from coordlog.record.contents import Contents, contents
+from coordlog.record.contents import Contents, contents, require_room
 from coordlog.record.decoding import decode
 from coordlog.record.messages import Encoder
-from coordlog.record.opening import File, is_own, summary_start
+from coordlog.record.opening import File, summary_start
 from coordlog.record.reader import attachments
 from coordlog.record.recording import Recording
 from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE, walk
@@ -56,7 +56,7 @@ def check(source: File | Recording, *, level: str = "content") -> list[Finding]:
         data = recording.data
     except FormatError as error:
         return [Finding(name, "file", None, "file", "a finished coordlog episode", str(error))]
-    found = [Finding(name, "file", *problem) for problem in _file(data)]
+    found = [Finding(name, "file", *problem) for problem in _file(recording)]
     if found or level == "file":
         return found
     return [Finding(name, "content", *problem) for problem in _content(data)]
@@ -76,16 +76,17 @@ def rewritten(source: File | Recording) -> str:
     return f"rewritten by {recording.rewritten}: {said}"
 
 
-def _file(data: bytes) -> list[Problem]:
+def _file(recording: Recording) -> list[Problem]:
+    data, spans = recording.data, recording.spans
     try:
-        if not is_own(data):
+        if recording.rewritten:
             return list(_foreign(data))
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         found = list(_checksums(data, start))
         if not found:
-            decode(contents(data))
-            attachments(data)
-            found = list(structure(data, start))
+            before = [span for span in spans if span.end <= start]
+            require_room(memoryview(data), before)
+            found = list(structure(data, start, before))
     except FormatError as error:
         return [Problem(None, "file", "a finished episode", str(error))]
     return found

@@ -73,28 +73,31 @@ def check_logs(
         raise unknown("level", level, LEVELS)
     heard = monitor or Monitor()
     files = find_files(paths)
-    named = paths[0] if len(paths) == 1 else None
-    known, skipped, findings = _recognised(shard(files.paths, share), alone=named)
-    left_out = {str(item.path): f"{item.path}: {item.reason}" for item in files.skipped} | skipped
-    unfinished = tuple(str(part) for part in files.parts)
-    if not known and not findings:
-        for text in left_out_lines(left_out.values(), unfinished):
-            heard.note(text)
-        raise nothing_found(paths, files._replace(skipped=()))
-    total = Checked(findings, {}, 0, 0)
-    with heard.progress(f"checking ({level})", len(known)) as progress:
-        work = batches(known, BATCH)
-        for each in mapped(partial(check_files, level=level), work, jobs=jobs):
-            total = Checked(
-                total.findings + each.findings,
-                total.inexact | each.inexact,
-                total.files + each.files,
-                total.steps + each.steps,
-                total.notes + each.notes,
+    wanted = shard(files.paths, share)
+    left_out = {str(item.path): f"{item.path}: {item.reason}" for item in files.skipped}
+    total = Checked([], {}, 0, 0, skipped=left_out, unfinished=tuple(map(str, files.parts)))
+    with heard.progress(f"checking ({level})", len(wanted)) as progress:
+        work = batches(wanted, BATCH)
+        for group, each in zip(
+            work, mapped(partial(check_files, level=level), work, jobs=jobs), strict=True
+        ):
+            total = total._replace(
+                findings=total.findings + each.findings,
+                inexact=total.inexact | each.inexact,
+                files=total.files + each.files,
+                steps=total.steps + each.steps,
+                notes=total.notes + each.notes,
+                skipped={**total.skipped, **each.skipped},
             )
             count = len(total.findings)
-            progress.advance(each.files, f"{count} findings" if count else "")
-    return total._replace(skipped=left_out, unfinished=unfinished)
+            progress.advance(len(group), f"{count} findings" if count else "")
+    if len(paths) == 1 and str(paths[0]) in total.skipped:
+        raise FormatError(total.skipped[str(paths[0])])
+    if not total.files and not total.findings:
+        for text in left_out_lines(total.skipped.values(), total.unfinished):
+            heard.note(text)
+        raise nothing_found(paths, files._replace(skipped=()))
+    return total
 
 
 def left_out_lines(skipped: Iterable[str], unfinished: Iterable[object]) -> list[str]:
@@ -105,31 +108,17 @@ def left_out_lines(skipped: Iterable[str], unfinished: Iterable[object]) -> list
     ]
 
 
-def _recognised(
-    paths: Sequence[Path], *, alone: Path | None
-) -> tuple[list[Path], dict[str, str], list[Finding]]:
-    """Files that look like episodes, files that do not, and findings for episodes that are cut off.
-
-    Raises:
-        FormatError: if the only file that was named is no episode.
-    """
+def _recognised(path: Path, found: list[Finding]) -> tuple[list[Finding], str]:
+    """What was found in a file, if it looks like an episode, or why it is none."""
     from coordlog.record.reader import probe
 
-    known: list[Path] = []
-    skipped: dict[str, str] = {}
-    findings: list[Finding] = []
-    for path in paths:
-        try:
-            probe(path)
-            known.append(path)
-        except TruncatedError as error:
-            found = Finding(str(path), "file", None, "file", "a finished episode", str(error))
-            findings.append(found)
-        except (FormatError, StorageError) as error:
-            if path == alone:
-                raise
-            skipped[str(path)] = str(error)
-    return known, skipped, findings
+    try:
+        probe(path)
+    except TruncatedError as error:
+        return [Finding(str(path), "file", None, "file", "a finished episode", str(error))], ""
+    except (FormatError, StorageError) as error:
+        return [], str(error)
+    return found, ""
 
 
 def check_files(paths: Sequence[Path], *, level: str) -> Checked:
@@ -148,27 +137,33 @@ def check_files(paths: Sequence[Path], *, level: str) -> Checked:
     findings: list[Finding] = []
     notes: list[str] = []
     observed: dict[str, str] = {}
+    skipped: dict[str, str] = {}
     for path in paths:
-        recording = Recording(path)
+        recording, why = Recording(path), ""
         try:
             found = check_one(recording, level="file" if level == "file" else "content")
+            if any(item.level == "file" for item in found):
+                found, why = _recognised(path, found)
             findings += found
-            if not found and (note := rewritten(recording)):
+            if not found and not why and (note := rewritten(recording)):
                 notes.append(f"{path}: {note}")
-            if not found and level != "replay" and (said := judged(recording)):
-                observed[str(path)] = said
-        except StorageError as error:  # it could be read a moment ago
-            why = str(error).removeprefix(f"{path}: ")
-            findings.append(Finding(str(path), "file", None, "file", "a readable file", why))
+            if not found and not why and level != "replay" and recording.observed:
+                observed[str(path)] = judged(recording)
+        except StorageError as error:
+            why = str(error)
+        if why:
+            skipped[str(path)] = why
+    whole = [path for path in paths if str(path) not in skipped]
+    checked = Checked(findings, observed, len(whole), 0, tuple(notes), skipped)
     if level != "replay":
-        return Checked(findings, observed, len(paths), 0, tuple(notes))
+        return checked
     from coordlog.verify.physics import check_replay
     from coordlog.verify.trial import runnable
 
     damaged = {item.path for item in findings if item.level == "file"}
-    tried = runnable([path for path in paths if str(path) not in damaged])
+    tried = runnable([path for path in whole if str(path) not in damaged])
     findings += tried
     damaged |= {item.path for item in tried}
-    replays = check_replay([path for path in paths if str(path) not in damaged])
+    replays = check_replay([path for path in whole if str(path) not in damaged])
     findings += replays.findings
-    return Checked(findings, replays.inexact, len(paths), replays.steps, tuple(notes))
+    return checked._replace(inexact=replays.inexact, steps=replays.steps)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -22,6 +19,7 @@ from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
 from coordlog.train.networks import Actor
 from coordlog.train.run import require_same
+from tests.spoken import Said, sound
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
 SMALL = [
@@ -41,15 +39,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=240, check=False, env=environment
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> Said:
+    return sound(*args, code=wanted, cache=cache)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +163,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge(envs, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2, elsewhere=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")

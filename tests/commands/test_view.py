@@ -6,24 +6,18 @@ Pictures need software Vulkan, recordings do not.
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.spoken import Said, sound
 
 DATA = Path(__file__).parents[1] / "data" / "v1"
 TABLE = sorted((DATA / "table").glob("*.mcap"))
 
 
-def view(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "coordlog.cli", "view", *map(str, args)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False, env=None
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def view(*args: str | Path, wanted: int = 0) -> Said:
+    return sound("view", *args, code=wanted)
 
 
 def test_an_episode_two_episodes_and_a_folder_become_recordings(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_an_episodes_noise_does_not_depend_on_the_slot_or_the_one_before_it():
 
 
 def test_random_actions_are_correlated_in_time_and_clipped():
-    policy = Random(N, 20, sigma=1.5)
+    policy = Random(N, 20, RandomConfig(sigma=1.5))
     policy.begin(np.arange(N), np.zeros((N, 1)), [np.random.default_rng(i) for i in range(N)])
     acted = np.stack([policy.act(np.arange(N), np.zeros((N, 1))) for _ in range(600)]).astype(
         np.float64

@@ -86,7 +86,11 @@ def stop_after(rows: int) -> Callable[[], bool]:
     return lambda: next(asked) >= rows
 
 
-KINDS = {"logs": (LOGS, True, False), "live": (LIVE, False, True), "both": (BOTH, True, True)}
+KINDS = {
+    "logs": ((*LOGS, "behaviour.extra=2"), True, False),
+    "live": (LIVE, False, True),
+    "both": (BOTH, True, True),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -252,16 +256,15 @@ def test_the_first_of_the_best_policies_is_kept_not_the_last(tmp_path: Path) -> 
     )
 
 
-@pytest.mark.parametrize(("averaged", "network"), [("true", "target_actor"), ("false", "actor")])
-def test_the_actor_or_its_average_is_kept(averaged: str, network: str, tmp_path: Path) -> None:
-    made = trainer(tmp_path, settings(*LOGS, f"loop.averaged={averaged}"), logs=True)
+@pytest.mark.parametrize(("average", "network"), [(0.2, "average_actor"), (0, "actor")])
+def test_the_actor_or_its_average_is_kept(average: float, network: str, tmp_path: Path) -> None:
+    made = trainer(tmp_path, settings(*LOGS, f"loop.average={average}"), logs=True)
     made.run()
     wanted = getattr(made.learner, network).arrays()
     found = Policy.load(tmp_path / "policy.safetensors").arrays
     assert all(np.array_equal(found[name], array) for name, array in wanted.items())
-    assert not np.array_equal(
-        made.learner.actor.arrays()["weight.0"], made.learner.target_actor.arrays()["weight.0"]
-    )
+    alike = np.array_equal(found["weight.0"], made.learner.actor.arrays()["weight.0"])
+    assert alike == (average == 0)
 
 
 def poisoned() -> Columns:

@@ -593,6 +593,20 @@ def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.G
     )  # nothing goes wrong in these episodes
 
 
+def test_examples_are_logged_states_with_what_was_done_there(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    replay = MixedReplay(config(horizon=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
+    found = replay.examples(rng)
+    rows = np.arange(len(logs))
+    known = {
+        state.tobytes(): action
+        for state, action in zip(logs.take("state", rows), logs.take("action", rows), strict=True)
+    }
+    wanted = np.stack([known[state.numpy().tobytes()] for state in found.state])
+    np.testing.assert_array_equal(found.action.numpy(), wanted)
+    np.testing.assert_array_equal(found.imitated.numpy(), np.ones((len(wanted), 1)))
+
+
 def test_a_steady_motion_is_imitated_in_hindsight_and_what_was_done_otherwise(
     rng: np.random.Generator,
 ) -> None:
