@@ -20,6 +20,7 @@ FLOORS = (
     {"episode", "path"},
     {"contracts"},
     {"parallel"},
+    {"crew"},
     {"config"},
     {"robots"},
     {"tasks"},

@@ -27,7 +27,7 @@ def load_logs(
     *,
     where: str = "",
     skip_broken: bool = False,
-    jobs: int = 0,
+    jobs: int | str = 0,
     verify: bool = False,
     monitor: Monitor | None = None,
 ) -> Logs:

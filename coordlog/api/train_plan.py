@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from coordlog.errors import ConfigError
+from coordlog.parallel import workers
 
 if TYPE_CHECKING:
     from coordlog.tasks.scene import Scene
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 
 STEPS = 150_000
 """Live steps of a run with the preset `default` that names no budget: enough for `free`."""
+
+
+UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([kMG]?)B?")
 
 
 @dataclass(frozen=True)
@@ -66,12 +72,30 @@ class TrainPlan:
     """Leave out broken files instead of stopping."""
     verify: bool = False
     """Read every log again, also those that did not change."""
-    jobs: int = 0
-    """Processes that decode logs; 0 for one per core."""
+    memory: str = ""
+    """Bytes of the window that logs stream through, such as "500MB"; "" holds all of them."""
+    collectors: int = 0
+    """Collectors that share the live simulations; 0 for none but the learner's own process."""
+    jobs: int | str = 0
+    """Processes that read logs, 0 for one per core; or a cluster: for the collectors, if any."""
     tensorboard: bool = False
     """Also write TensorBoard event files into the run folder."""
     view: bool = False
     """Watch in rerun."""
+
+    @property
+    def window(self) -> int:
+        """Bytes of the window that logs stream through; 0 without one."""
+        found = _SIZE.fullmatch(self.memory.strip())
+        if self.memory and found is None:
+            raise ConfigError(f"--memory: expected a size such as 500MB or 2GB, got {self.memory}")
+        return int(float(found[1]) * UNITS[found[2]]) if found else 0
+
+    @property
+    def readers(self) -> int | str:
+        """Where logs are read."""
+        jobs = workers(self.jobs)
+        return 0 if self.collectors and isinstance(jobs, str) else jobs
 
     @property
     def mode(self) -> str:
@@ -116,6 +140,14 @@ def constants(plan: TrainPlan) -> Constants:
         given |= {"loop.steps": STEPS, "loop.updates": plan.updates or 0}
     own = [f"{key}={value}" for key, value in given.items() if value is not None]
     settings = load_settings(preset=preset, tables=tables, assignments=[*assigned, *own])
+    if plan.window and not plan.source:
+        raise ConfigError("--memory: expected logs to stream, --from, got none")
+    if plan.collectors and (plan.mode == "logs" or plan.collectors > plan.envs):
+        live = plan.envs if plan.mode != "logs" else "no"
+        raise ConfigError(
+            "--collectors: expected at most one for each live simulation, "
+            f"got {plan.collectors} for {live} simulations"
+        )
     if plan.mode != "logs" and settings.loop.steps == 0:
         raise ConfigError("--steps: expected a budget of live steps, got none")
     return Constants(preset, settings, around)

@@ -3,34 +3,37 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import uuid
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
+from coordlog.api.practice import Practice, collector, record_training
+from coordlog.api.streams import listed, stream_of
 from coordlog.api.train_plan import Constants, TrainPlan, constants
 from coordlog.catalog.asking import catalogued
+from coordlog.crew import Crew
 from coordlog.monitor import Monitor
 from coordlog.record.files import find_files
-from coordlog.record.recorder import Recorder
-from coordlog.sim.making import make_env, true_scene
+from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
 from coordlog.train import run as runs
-from coordlog.train.bind import FARTHEST, learning_task, require_alike
+from coordlog.train.bind import learning_task, require_alike
+from coordlog.train.collectors import Collectors, shares
+from coordlog.train.columns import Columns
 from coordlog.train.events import EventFiles, require_tensorboard
-from coordlog.train.live import Simulations
-from coordlog.train.logs import Columns
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import refuse_changes, surroundings
-from coordlog.train.task import Hooks, Outcome
+from coordlog.train.stream import Stream
+from coordlog.train.task import Hooks, LiveSource, Outcome
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
@@ -58,6 +61,8 @@ class Run(NamedTuple):
     folder: Path
     constants: Constants
     logs: Logs | None
+    stream: Stream | None
+    """The same logs, if they pass through a window."""
     like: Json
     """The `coordlog.env` record whose constants hold where the tables say nothing."""
     judged: dict[str, BatchEnv]
@@ -97,34 +102,31 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         judge = Judge(
             run.judged, folder, run=run.name, episodes=count, elsewhere=elsewhere, window=window
         )
-        recorder = None
-        if plan.mode != "logs":
-            recorder = stack.enter_context(record_training(practising(run), folder, run=run.name))
+        source: LiveSource | None = None
+        if plan.collectors:
+            crew = Crew(partial(collector, practice_of(run)), plan.collectors, jobs=plan.jobs)
+            each = shares(plan.envs, plan.collectors)
+            source = Collectors(stack.enter_context(crew), each, k=run.judged[""].layout.k)
+        elif plan.mode != "logs":
+            practice = practice_of(run)
+            recorder = record_training(practice.env(plan.envs), folder, run=run.name)
+            source = practice.simulations(stack.enter_context(recorder))
         hooks = Hooks(
             evaluate=judge, rank=RANK, on_row=follower, should_stop=lambda: monitor.stopped
         )
-        trainer = trainer_of(run, recorder, hooks)
+        trainer = trainer_of(run, source, hooks)
         if not plan.resume:
             _begin(run)
         outcome = trainer.run(resume=plan.resume and _has_checkpoint(folder))
-    episodes = folder / "episodes"
-    catalogued(episodes, find_files(episodes).paths if episodes.is_dir() else ())
+    recorded = folder / "episodes"
+    catalogued(recorded, find_files(recorded).paths if recorded.is_dir() else ())
     return Trained(folder, outcome, len(run.logs.skipped) if run.logs else 0)
 
 
 def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     """Find out whether all parts of a run fit, before anything is written; errors as of `train`."""
     wanted = constants(plan)
-    logs = None
-    if plan.source:
-        logs = load_logs(
-            [Path(each) for each in plan.source],
-            where=plan.where,
-            skip_broken=plan.skip_broken,
-            jobs=plan.jobs,
-            verify=plan.verify,
-            monitor=monitor,
-        )
+    logs = _logs(plan, monitor) if plan.source else None
     if isinstance(plan.scene, Scene):
         scene = plan.scene
     elif plan.scene:
@@ -135,6 +137,14 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     envs = min(ENVS, plan.eval_episodes)
     judged = evaluation_envs(scene, wanted.tables, like, start=plan.start, envs=envs)
     about = _about(plan, scene, judged[""], wanted, logs)
+    stream = None
+    if logs and plan.window:
+        seed = wanted.settings.loop.seed
+        stream = stream_of(logs, memory=plan.window, jobs=plan.readers, seed=seed)
+        layout = judged[""].layout
+        about["window"] = stream.about((layout.n_x, layout.n_u, layout.k))
+    if plan.collectors:
+        about["collectors"] = plan.collectors
     if logs:
         require_alike(logs.env(0), about["env"], where=f"scene '{scene.name}'")
     if plan.mode != "logs" and "reward" in wanted.tables:
@@ -152,7 +162,21 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
             "rewards are recomputed from logged distances and flags: "
             "the logs were recorded with other constants"
         )
-    return Run(plan, scene, folder, wanted, logs, like, judged, about, name)
+    return Run(plan, scene, folder, wanted, logs, stream, like, judged, about, name)
+
+
+def _logs(plan: TrainPlan, monitor: Monitor) -> Logs:
+    """What is learnt from: columns, or with a window the list of what will stream through it."""
+    paths = [Path(each) for each in plan.source or ()]
+    chosen: dict[str, Any] = {
+        "where": plan.where,
+        "skip_broken": plan.skip_broken,
+        "jobs": plan.readers,
+        "monitor": monitor,
+    }
+    if plan.window:
+        return listed(paths, **chosen)
+    return load_logs(paths, verify=plan.verify, **chosen)
 
 
 def _about(
@@ -202,52 +226,41 @@ def _name(plan: TrainPlan, folder: Path, about: Json, wanted: Constants, monitor
     return str(before["recorder"])
 
 
-def practising(run: Run) -> BatchEnv:
-    """The environment that live steps are taken in: with what makes training easier (section
-    [train]).
-    """
-    tables = run.constants.tables
+def practice_of(run: Run) -> Practice:
+    """What the live steps of a run are taken in."""
+    plan, tables = run.plan, run.constants.tables
     easier = {**asdict(run.constants.settings.train), **tables.get("env", {})}
-    return make_env(
+    return Practice(
         run.scene,
         {**tables, "env": easier},
-        start=run.plan.start,
-        envs=run.plan.envs,
-        threads=max(1, (os.cpu_count() or 2) - 1),
-        like=run.like,
+        plan.start,
+        tuple(shares(plan.envs, plan.collectors or 1)),
+        run.like,
+        run.folder.resolve(),
+        run.name,
+        run.constants.settings.loop.seed,
+        run.judged[""].layout.k,
     )
 
 
-def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
-    """The live environment, recorded into the run folder."""
-    policy = {
-        "kind": "digrad",
-        "name": "learner",
-        "checkpoint_sha256": "",
-        "noise": {"kind": "gaussian", "schedule": "noise in run.json"},
-    }
-    return Recorder(env, folder / "episodes" / "train", policy=policy, display=False, run=run)
-
-
-def trainer_of(run: Run, recorder: Recorder | None, hooks: Hooks) -> Trainer:
+def trainer_of(run: Run, source: LiveSource | None, hooks: Hooks) -> Trainer:
     """The trainer of a run.
 
     Args:
         run: All that it needs.
-        recorder: The environment of live steps, recorded; None if there are none.
+        source: Of live steps; None if there are none.
         hooks: Evaluation, progress, stop.
     """
     env, settings = run.judged[""], run.constants.settings
-    source = None
-    if recorder is not None:
-        farthest = FARTHEST * run.scene.robot.reach
-        source = Simulations(recorder, seed=settings.loop.seed, k=env.layout.k, farthest=farthest)
+    logs: Columns | Stream | None = run.stream
+    if run.logs and not run.stream:
+        logs = Columns.from_tables(run.logs.steps, run.logs.episodes)
     kept = ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
     return Trainer(
         learning_task(env.describe(), reward=env.task.reward),
         settings,
         folder=run.folder,
-        logs=Columns.from_tables(run.logs.steps, run.logs.episodes) if run.logs else None,
+        logs=logs,
         source=source,
         hooks=hooks,
         about={key: run.about[key] for key in kept},

@@ -65,8 +65,27 @@ Resume = Annotated[bool, flag("--resume", "Go on with the run in --out, exactly 
 Device = Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")]
 SkipBroken = Annotated[bool, flag("--skip-broken", "Leave out broken files instead of stopping.")]
 Verify = Annotated[bool, flag("--verify", "Read every log again, also those that did not change.")]
+Memory = Annotated[
+    str,
+    typer.Option(
+        help="Let logs stream through a window of so many bytes, such as 500MB, "
+        "instead of holding all of them."
+    ),
+]
+Crew = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Collectors that share --envs among them and feed one learner; "
+        "processes of a cluster with --jobs ray.",
+    ),
+]
 Decoders = Annotated[
-    int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
+    str,
+    typer.Option(
+        help="Processes that read logs, 0 for one per core; ray or ray://HOST:PORT for "
+        "--collectors on a cluster."
+    ),
 ]
 Tensorboard = Annotated[
     bool, flag("--tensorboard", "Also write TensorBoard event files into the run folder.")
@@ -97,7 +116,9 @@ def train(
     device: Device = "cpu",
     skip_broken: SkipBroken = False,
     verify: Verify = False,
-    jobs: Decoders = 0,
+    memory: Memory = "",
+    collectors: Crew = 0,
+    jobs: Decoders = "0",
     tensorboard: Tensorboard = False,
     view: View = False,
 ) -> None:
@@ -114,6 +135,10 @@ def train(
         coordlog train --from logs/spheres --live --steps 100000 --set behaviour.final=1.0
 
         coordlog train --from logs/spheres --set reward.n1=3.0
+
+        coordlog train --from s3://robots/logs --memory 500MB --updates 100000
+
+        coordlog train --scene free --collectors 4 --jobs ray
 
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -77,19 +78,19 @@ class LocalStore(Store):
         self.folder = Path(folder)
         self.address = str(self.folder)
 
-    def entries(self, files: Files) -> list[Entry]:
-        """What a walk over the folder found, as entries."""
-        start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
-        names = map(os.fspath, files.paths)
-        return [Entry(name[start:], *files.stamps[name]) for name in names]
-
     def list(self) -> list[Entry]:
         """The episodes, by name.
 
         Raises:
             StorageError: if there is no such folder.
         """
-        return self.entries(find_files(self.folder))
+        return [*self.entries(find_files(self.folder))]
+
+    def entries(self, files: Files) -> Sequence[Entry]:
+        """What a walk over the folder found, as entries."""
+        start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
+        names = map(os.fspath, files.paths)
+        return [Entry(name[start:], *files.stamps[name]) for name in names]
 
     def path(self, name: str) -> Path:
         """The path of an episode."""

@@ -137,12 +137,12 @@ class Learner:
             tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
         )
         self._moments = _moments(targets, online)
-        self.average_actor, self._average, self._networks = self.actor, average, NETWORKS
+        self._average = average
+        self.average_actor = self.actor
+        self._networks: tuple[str, ...] = NETWORKS
         if average > 0:
-            self.average_actor, self._networks = (
-                copy.deepcopy(self.target_actor),
-                (*NETWORKS, "average_actor"),
-            )
+            self.average_actor = copy.deepcopy(self.target_actor)
+            self._networks = (*NETWORKS, "average_actor")
             self._moments += _moments(self.average_actor, self.actor)
         dtype = self._online[0].dtype
         self._ascended = 1 if network.ascent == "first" else network.critics
@@ -302,8 +302,8 @@ class Learner:
         torch._foreach_lerp_(self._targets, self._online, self.config.tau)
         if self._average > 0:
             window = self._average * self.updates / self.config.actor_delay
-            parts = (tuple(each.parameters()) for each in (self.average_actor, self.actor))
-            torch._foreach_lerp_(*parts, min(self.config.tau, 1 / window))
+            kept, latest = tuple(self.average_actor.parameters()), tuple(self.actor.parameters())
+            torch._foreach_lerp_(kept, latest, min(self.config.tau, 1 / window))
         for target, moment in self._moments:
             target.copy_(moment)
 

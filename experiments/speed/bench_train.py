@@ -24,11 +24,12 @@ from stable_baselines3.common.logger import configure
 from coordlog.episode import Array
 from coordlog.tasks.config import RewardConfig
 from coordlog.tasks.reach.reward import Flags, rewards
+from coordlog.train.columns import Columns
 from coordlog.train.digrad import Batch, Learner
 from coordlog.train.gradients import gradient_mask
-from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.replay import Arrays, Horizon, transitions
 from coordlog.train.settings import PRESETS, Settings
+from coordlog.train.transitions import Transitions
 from experiments.speed.clock import Row, medians, options, show, turns
 
 N_X, N_U, EPISODE = 39, 13, 150
@@ -132,7 +133,7 @@ def batches(rows: int) -> Iterator[Row]:
 
     with tempfile.TemporaryDirectory() as folder:
         columns = mapped(Path(folder), rows)
-        store = LogReplay(columns, reward)
+        store = Transitions.of_logs(columns, reward)
         shuffled = np.random.default_rng(0).permutation(rows)[: min(rows // 256, 2000) * 256]
         tensors = in_memory(columns)
         variants = {
@@ -160,15 +161,15 @@ def mapped(folder: Path, rows: int) -> Columns:
     nothing = np.zeros(rows, bool)
     flags = np.zeros((rows, 2), bool)
     episodes = rows // EPISODE
+    steps = {
+        "state": column("state", N_X),
+        "action": column("action", N_U),
+        "distance": column("distance", 2),
+        **dict.fromkeys(("boundary", "goal"), flags),
+        **dict.fromkeys(("collision", "instability", "terminated"), nothing),
+    }
     return Columns(
-        state=column("state", N_X),
-        action=column("action", N_U),
-        distance=column("distance", 2),
-        boundary=flags,
-        goal=flags,
-        collision=nothing,
-        instability=nothing,
-        terminated=nothing,
+        steps,
         final=rng.random((episodes, N_X), dtype=np.float32),
         length=np.full(episodes, EPISODE),
     )
@@ -177,19 +178,19 @@ def mapped(folder: Path, rows: int) -> Columns:
 def in_memory(columns: Columns) -> list[torch.Tensor]:
     """What a training loop without logs would hold: states, actions, rewards, next states, ends."""
     state, action = (
-        torch.tensor(np.asarray(columns.state)),
-        torch.tensor(np.asarray(columns.action)),
+        torch.tensor(np.asarray(columns.steps["state"])),
+        torch.tensor(np.asarray(columns.steps["action"])),
     )
     return [
         state,
         action,
-        torch.tensor(np.asarray(columns.distance)),
+        torch.tensor(np.asarray(columns.steps["distance"])),
         state.roll(-1, 0),
         torch.zeros(len(state), 1),
     ]
 
 
-def epoch(store: LogReplay, shuffled: Array) -> None:
+def epoch(store: Transitions, shuffled: Array) -> None:
     """All batches of ours."""
     for start in range(0, len(shuffled), 256):
         out = Arrays.empty(256, (N_X, N_U, 2))

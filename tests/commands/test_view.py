@@ -49,7 +49,7 @@ def test_what_is_no_episode_is_refused(tmp_path: Path) -> None:
 def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from coordlog.record.cache import file_digest
+    from coordlog.record.addresses import sha256
     from coordlog.record.reader import read_attachments, read_episode
     from coordlog.record.siblings import sibling
     from coordlog.record.writer import write_episode
@@ -59,7 +59,7 @@ def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
         folder.mkdir()
     shutil.copy(TABLE[0], raw)
     episode = read_episode(raw)
-    lineage = {"parents": [file_digest(raw)], "transform": "smooth", "parameters": {}}
+    lineage = {"parents": [sha256(raw)], "transform": "smooth", "parameters": {}}
     made = replace(episode, header=replace(episode.header, lineage=lineage))
     write_episode(smoothed, made, attachments=read_attachments(raw), display=False)
     assert sibling(raw) == (raw, smoothed)

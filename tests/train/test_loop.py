@@ -12,9 +12,8 @@ import pytest
 from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.policies.checkpoint import load_arrays
 from coordlog.policies.learned import Policy
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block, Columns
 from coordlog.train.exploration import Exploring
-from coordlog.train.logs import Columns
 from coordlog.train.loop import KIND, Trainer
 from coordlog.train.metrics import TIMING, read_metrics
 from coordlog.train.settings import Settings, load_settings
@@ -269,9 +268,9 @@ def test_the_actor_or_its_average_is_kept(average: float, network: str, tmp_path
 
 def poisoned() -> Columns:
     columns = toy.logs(6)
-    distance = columns.distance.copy()
+    distance = columns.steps["distance"].copy()
     distance[5] = np.nan
-    return replace(columns, distance=distance)
+    return replace(columns, steps={**columns.steps, "distance": distance})
 
 
 def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
