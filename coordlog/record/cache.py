@@ -69,8 +69,8 @@ class Logs:
     steps: pa.Table
     """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
-    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record as
-    JSON), state (final), length, digest, file. The catalogue says the rest."""
+    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record
+    as JSON), state (final), length, digest, file. The catalogue says the rest."""
     skipped: tuple[Skipped, ...]
     notes: tuple[str, ...] = ()
     """What is worth knowing about how they were read."""
