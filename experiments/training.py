@@ -11,6 +11,9 @@ from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS, surroundings
 
+KEPT = "    # as of then: the target actor was kept"
+"""What runs kept before there was `loop.average`."""
+
 
 def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
     """Updates, live steps and wall time [s] up to the policy that says this of itself, evaluations
@@ -45,12 +48,14 @@ def command(run: dict[str, Any]) -> str:
         words += [f"--updates {loop['updates']}"]
     words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
     named = {("loop", name) for name in ("updates", "steps", "seed")}
-    replay, settings = run["settings"]["replay"], dict(run["settings"])
+    replay = run["settings"]["replay"]
+    settings = {name: dict(section) for name, section in run["settings"].items()}
     if mode != "live":  # there was one share for logs and live steps at first
         settings["replay"] = {
             **replay,
             "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
         }
+    before = settings["loop"].pop("averaged", False)
     for section, values in settings.items():
         usual = PRESETS[preset].asdict()[section]
         words += [
@@ -60,7 +65,7 @@ def command(run: dict[str, Any]) -> str:
         ]
     for section, values in around(run["env"], preset=preset if mode == "live" else "").items():
         words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
-    return " ".join([*words, f"--seed {run['seed']}"])
+    return " ".join([*words, f"--seed {run['seed']}"]) + (KEPT if before else "")
 
 
 def around(env: dict[str, Any], *, preset: str = "") -> dict[str, dict[str, Any]]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP, mapped
+from coordlog.commands.options import Jobs, flag, json_flag
+from coordlog.errors import EXIT_BAD_INPUT, EXIT_CHECK_FAILED, EXIT_PARTIAL, ConfigError
+from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.catalog.index import Change, Mismatch
@@ -24,21 +25,19 @@ def index(
     path: Annotated[
         list[Path], typer.Argument(help="Folders, packs, or addresses such as s3://BUCKET/PREFIX.")
     ],
-    compact: Annotated[
-        bool, typer.Option("--compact", help="Merge the catalogue's files into one.")
-    ] = False,
-    rebuild: Annotated[bool, typer.Option("--rebuild", help="Describe every file anew.")] = False,
+    compact: Annotated[bool, flag("--compact", "Merge the catalogue's files into one.")] = False,
+    rebuild: Annotated[bool, flag("--rebuild", "Describe every file anew.")] = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Hash every file, whatever its size and time say.")
+        bool, flag("--verify", "Hash every file, whatever its size and time say.")
     ] = False,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what was found")] = False,
 ) -> None:
     """Bring the catalogue of a folder up to date: a row per episode, for `query` and `select`.
 
     Only files whose size or time have changed are read. The catalogue lies in `.catalog/` of the
-    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 2 if
-    none is, 1 if --verify finds other bytes than were catalogued.
+    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 1 if
+    --verify finds other bytes than were catalogued.
 
     Examples:
 
@@ -47,10 +46,12 @@ def index(
         coordlog index PACK/ --verify
     """
     from coordlog.catalog.index import Catalog
-    from coordlog.record.files import Files, Skipped, nothing_found
+    from coordlog.record.files import Files, Skipped, find_files, nothing_found
+    from coordlog.record.places import is_url
 
     reports: list[dict[str, Any]] = []
-    left_out, mismatches = Files((), ()), 0
+    left_out: list[str] = []
+    mismatches = 0
     for each in path:
         if each.is_file():
             raise ConfigError(f"{each}: expected a folder, a pack or an address, got a file")
@@ -66,13 +67,16 @@ def index(
                     bar.update(task, advance=len(rows))  # noqa: B023
                     yield rows
 
+            files = Files((), ()) if is_url(each) else find_files(each)
             change = catalog.rebuild(run=run) if rebuild else catalog.refresh(run=run)
         wrong = catalog.verify() if verify else []
         if compact:
             catalog.compact()
         bad = catalog.broken()
-        files = catalog.files(Skipped(catalog.store.path(name), why) for name, why in bad)
-        left_out, mismatches = left_out.joined(files), mismatches + len(wrong)
+        broken = [Skipped(catalog.store.path(name), why) for name, why in bad]
+        files = files._replace(paths=(), skipped=(*files.skipped, *broken))
+        left_out += files.left_out()
+        mismatches += len(wrong)
         count = catalog.episodes().num_rows
         reports.append(
             {
@@ -88,13 +92,15 @@ def index(
             terminal.note(note)
         if not as_json:
             _show(catalog.root, count, change, files.left_out(), wrong)
+        if not count and not change.gone and not broken:
+            raise nothing_found([each], files)
     if as_json:
         terminal.print_json(reports)
     if mismatches:
         raise typer.Exit(EXIT_CHECK_FAILED)
-    if not any(report["episodes"] or report["gone"] for report in reports):
-        raise nothing_found(path, left_out)
-    if left_out.left_out():
+    if left_out and not any(report["episodes"] for report in reports):
+        raise typer.Exit(EXIT_BAD_INPUT)
+    if left_out:
         raise typer.Exit(EXIT_PARTIAL)
 
 

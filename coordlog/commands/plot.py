@@ -8,29 +8,28 @@ from typing import Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import flag
 from coordlog.errors import ConfigError, SpecError
+
+Drawn = Annotated[
+    list[Path],
+    typer.Argument(help="An episode file, more of the same robot pale behind it; or run folders."),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="File to write: .png, .pdf or .svg; by default joints.png or curves.png."),
+]
+Against = Annotated[
+    str,
+    typer.Option(help="Of runs: episodes, updates or steps; by default episodes if all are live."),
+]
 
 
 def plot(
-    path: Annotated[
-        list[Path],
-        typer.Argument(
-            help="An episode file, more of the same robot pale behind it; or run folders."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write: .png, .pdf or .svg; by default joints.png or curves.png."
-        ),
-    ] = None,
-    against: Annotated[
-        str,
-        typer.Option(
-            help="Of runs: episodes, updates or steps; by default episodes if all are live."
-        ),
-    ] = "",
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    path: Drawn,
+    out: Out = None,
+    against: Against = "",
+    force: Annotated[bool, flag("--force", "Replace the file if it exists.")] = False,
 ) -> None:
     """Draw an episode, or how runs learnt.
 
@@ -54,7 +53,8 @@ def plot(
     folders = [item for item in path if item.is_dir()]
     if folders and len(folders) < len(path):
         raise ConfigError(
-            f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart"
+            f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); "
+            "plot them apart"
         )
     from coordlog.view.joints import figure_path, refuse_figure
 
@@ -77,9 +77,10 @@ def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> Non
     for folder in folders:
         if not (folder / "run.json").exists():
             raise ConfigError(
-                f"{folder}: expected an episode file or a run folder, got a folder without run.json; name one file or run in it"
+                f"{folder}: expected an episode file or a run folder, got a folder without "
+                "run.json; name one file or run in it"
             )
-    from coordlog.commands.curves import draw_curves
+    from coordlog.api.curves import draw_curves
 
     draw_curves(folders, out, against=against, force=force)
 
@@ -95,6 +96,7 @@ def _joints(paths: list[Path], out: Path, *, force: bool) -> None:
             "action_joints"
         ) != first.header.env.get("action_joints"):
             raise SpecError(
-                f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot them apart"
+                f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot "
+                "them apart"
             )
     save(joints_figure(first, read_attachments(paths[0]), behind=behind), out, force=force)

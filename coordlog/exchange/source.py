@@ -5,6 +5,7 @@ values.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError, StorageError
-from coordlog.record.files import Skipped, find_files, nothing_found, reason_of
+from coordlog.record.files import Files, Skipped, find_files, nothing_found, reason_of
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -126,15 +127,24 @@ class Loaded:
             return ""
 
 
-def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry], list[str]]:
+def entries(
+    paths: Sequence[Path] | Files, *, skip_broken: bool = False
+) -> tuple[list[Entry], list[str]]:
     """The episodes under some paths in the order of their names, and what was skipped and why.
+
+    Args:
+        paths: What to search, or what a search has found.
+        skip_broken: Leave out what is broken.
 
     Raises:
         SpecError: if there are none.
         FormatError: if one is broken and they are not to be skipped.
     """
-    found = find_files(paths)
+    found = paths if isinstance(paths, Files) else find_files(paths)
     left: list[Skipped] = []
+    if found.skipped and not skip_broken:
+        path, reason = found.skipped[0]
+        raise FormatError(f"{path}: {reason}; --skip-broken exports the others")
     known: list[Entry] = []
     for path in found.paths:
         try:
@@ -144,7 +154,8 @@ def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry
                 raise type(error)(f"{error}; --skip-broken exports the others") from None
             left.append(Skipped(path, reason_of(path, error)))
     if not known:
-        raise nothing_found(paths, found, skipped=left)
+        given = () if isinstance(paths, Files) else paths
+        raise nothing_found(given, found, skipped=left)
     return known, found._replace(skipped=(*found.skipped, *left)).left_out()
 
 

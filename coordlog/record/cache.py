@@ -5,9 +5,8 @@ A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when r
 episode with its final state, its result, what its header says and the sha256 of its file; and,
 written last, a file of their sizes and CRCs. What does not agree with its CRC is decoded anew. A
 shard's name is a digest of the episodes in it: two processes that build the same shard write the
-same files, and either may win. DIGESTS remembers the sha256 of files by path, size, mtime and
-inode: of a file that has not changed no byte is read again. A folder that others may write to is
-not used.
+same files, and either may win. A folder that others may write to is not used. Packs cannot take its
+place: they hold files, and decoding those is what is saved here.
 """
 
 from __future__ import annotations
@@ -30,38 +29,27 @@ import pyarrow as pa
 
 from coordlog.episode import Header, Json
 from coordlog.errors import SpecError
-from coordlog.record.addresses import is_elsewhere, size_and_time
 from coordlog.record.dataset import Decoded, decoded
+from coordlog.record.digests import (
+    EDITION,
+    read_json,
+    remember,
+    remembered,
+    replace_file,
+    stamp_of,
+    write_json,
+)
 from coordlog.record.files import Skipped
 from coordlog.record.storage import translated
-from coordlog.version import __version__
+from coordlog.spec import LEARNT, names
 
 SHARD = 128
 """Episodes in a shard."""
-EDITION = f"{__version__}-2"
-"""Shards of another edition are not read."""
 STEPS, EPISODES, SUMS = ".steps.arrow", ".episodes.arrow", ".sums.json"
-DIGESTS = "digests.json"
 TRIES = 3
 """A shard that is still damaged when it was made so often is not used."""
-FRESH = 100_000_000
-"""A file changed less than this long ago [ns] may change again within one tick of the clock: its
-digest is not remembered."""
-STEP_COLUMNS = (
-    "state",
-    "action",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-)
-"""What training reads; the rest stays in the files."""
-
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
-Stamp = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -79,11 +67,10 @@ class Logs:
     """Columns of a set of episodes, in the order of their files."""
 
     steps: pa.Table
-    """One row per step: STEP_COLUMNS."""
+    """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
-    """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene,
-    split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
-    `coordlog.env` record as JSON)."""
+    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record
+    as JSON), state (final), length, digest, file. The catalogue says the rest."""
     skipped: tuple[Skipped, ...]
     notes: tuple[str, ...] = ()
     """What is worth knowing about how they were read."""
@@ -122,8 +109,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
     """
     skipped: dict[Path, Skipped] = {}
     with _trusted(folder) as (place, notes):
-        stamps = {path: _stamp(path) for path in paths}
-        digests = {} if verify else _remembered(place, stamps)
+        stamps = {path: stamp_of(path) for path in paths}
+        digests = {} if verify else remembered(place, stamps)
         known, tried = _known(place), set[Path]()
         for _ in range(TRIES):
             missing = [path for path in paths if digests.get(path) not in known]
@@ -135,24 +122,25 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
             tried |= {*missing}
             known = _known(place) if missing else known
             used = {known[digest][0] for digest in digests.values() if digest in known}
-            broken = [shard for shard in sorted(used) if not _sound(place, shard)]
+            broken = [shard for shard in sorted(used) if not _agrees(place, shard, STEPS)]
             if not broken:
                 break
             notes = (*notes, f"{place}: {len(broken)} damaged parts of the cache are made anew")
             _remove(place, broken)
             known = {key: at for key, at in known.items() if at[0] not in broken}
             tried = {*skipped}
-        _remember(place, stamps, digests)
+        remember(place, stamps, digests)
         here = [path for path in paths if digests.get(path) in known]
         if not here:
             first = next(iter(skipped.values()), None)
             why = f"; {first.path}: {first.reason}" if first else ""
             raise SpecError(
-                f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
+                "no logs: expected at least one finished episode to learn from, got none in "
+                f"{len(paths)} files{why}"
             )
         logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
-    names = pa.array([str(path) for path in here])
-    return replace(logs, episodes=logs.episodes.append_column("file", names), notes=notes)
+    files = pa.array([str(path) for path in here])
+    return replace(logs, episodes=logs.episodes.append_column("file", files), notes=notes)
 
 
 def build(paths: Sequence[Path], *, folder: Path) -> Built:
@@ -162,23 +150,14 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
     known = frozenset(_known(folder))
     for part in decoded(paths, skipped=skipped, digests=digests, known=known):
         episodes = _described(part)
+        kept = [name for name in names(LEARNT) if name in part.steps.column_names]
         name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
         sums = {
-            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(_columns(part.steps))),
+            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(kept)),
             EPISODES: _write(folder / f"{name}{EPISODES}", episodes),
         }
-        _write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
+        write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
     return Built(len(paths), tuple(skipped), digests)
-
-
-def file_digest(path: Path) -> str:
-    """sha256 of a file.
-
-    Raises:
-        StorageError: if it cannot be read.
-    """
-    with translated(path, "read the file"), path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager
@@ -195,96 +174,31 @@ def _trusted(folder: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
         yield Path(apart), (f"{folder}: the cache is not used: {why}; logs are decoded anew",)
 
 
-def _stamp(path: Path) -> Stamp | None:
-    """What a file's content is taken to depend on; None if it cannot be told."""
-    if is_elsewhere(path):
-        return size_and_time(path)
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return (status.st_size, status.st_mtime_ns, status.st_ino, status.st_dev)
-
-
-def _remembered(folder: Path, stamps: dict[Path, Stamp | None]) -> dict[Path, str]:
-    """Digests of the files that have not changed since they were read."""
-    entries = _read_json(folder / DIGESTS).get("files", {})
-    found = {}
-    for path, stamp in stamps.items():
-        entry = entries.get(str(path)) if isinstance(entries, dict) else None
-        if isinstance(entry, list) and stamp is not None and entry[:-1] == list(stamp):
-            found[path] = str(entry[-1])
-    return found
-
-
-def _remember(folder: Path, stamps: dict[Path, Stamp | None], digests: dict[Path, str]) -> None:
-    """Keep what is known of files beside what was known before.
-
-    Of a file that changed since its stamp was taken, or just before, nothing is kept.
-    """
-    before = _read_json(folder / DIGESTS).get("files", {})
-    entries = dict(before) if isinstance(before, dict) else {}
-    now = _clock(folder)
-    for path, digest in digests.items():
-        stamp = stamps.get(path)
-        entries.pop(str(path), None)
-        if stamp is not None and stamp == _stamp(path) and stamp[1] < now - FRESH:
-            entries[str(path)] = [*stamp, digest]
-    if entries != before:
-        _write_json(folder / DIGESTS, {"edition": EDITION, "files": entries})
-
-
-def _clock(folder: Path) -> int:
-    """What time a file written now would bear [ns]."""
-    with tempfile.TemporaryFile(dir=folder) as stream:
-        return os.fstat(stream.fileno()).st_mtime_ns
-
-
-def _columns(steps: pa.Table) -> list[str]:
-    """Those of STEP_COLUMNS that these episodes' task has."""
-    return [name for name in STEP_COLUMNS if name in steps.column_names]
-
-
 def _described(part: Decoded) -> pa.Table:
     """Rows of `Logs.episodes`, without the file's name: it may change."""
-    starts = np.concatenate([[0], np.cumsum(part.finals.column("length"))[:-1]]).astype(np.int64)
-    columns = ("state", "length", "success", "clean", "terminated", "truncated", "aborted")
-    table = part.finals.select([*columns, "returns"])
-    for column, flag in (("collided", "collision"), ("fell", "instability")):
-        values = np.zeros(part.steps.num_rows, np.bool_)
-        if flag in part.steps.column_names:
-            values = part.steps.column(flag).to_numpy(zero_copy_only=False)
-        table = table.append_column(column, pa.array(np.logical_or.reduceat(values, starts)))
     rows = [_said(header) for header in part.headers]
-    described = pa.Table.from_pylist(rows, schema=_SAID)
-    for column in described.column_names:
-        table = table.append_column(column, described.column(column))
+    table = pa.Table.from_pylist(rows, schema=_SAID)
+    for name in ("state", "length"):
+        table = table.append_column(name, part.finals.column(name))
     return table.append_column("digest", pa.array(list(part.digests))).combine_chunks()
 
 
 _SAID = pa.schema(
     {
-        **dict.fromkeys(("scene", "split"), pa.string()),
+        **dict.fromkeys(("scene", "split", "robot", "start"), pa.string()),
         **dict.fromkeys(("seed", "index"), pa.int64()),
-        **dict.fromkeys(("robot", "start", "policy"), pa.string()),
-        "noise": pa.float64(),
-        **dict.fromkeys(("transform", "env"), pa.string()),
+        "env": pa.string(),
     }
 )
 
 
 def _said(header: Header) -> Json:
     """What a header says, for the columns of `_SAID`."""
-    episode, noise = header.episode, header.policy.get("noise")
-    sigma = noise.get("sigma", 0.0) if isinstance(noise, dict) else 0.0
-    row: Json = {key: _text(episode.get(key)) for key in ("scene", "split", "robot", "start")}
-    row |= {key: _whole(episode.get(key)) for key in ("seed", "index")}
-    return row | {
-        "policy": _text(header.policy.get("name")),
-        "noise": float(sigma) if isinstance(sigma, int | float) else 0.0,
-        "transform": _text(header.lineage.get("transform")),
-        "env": json.dumps(header.env),
+    row: Json = {
+        key: _text(header.episode.get(key)) for key in ("scene", "split", "robot", "start")
     }
+    row |= {key: _whole(header.episode.get(key)) for key in ("seed", "index")}
+    return row | {"env": json.dumps(header.env)}
 
 
 def _text(value: object) -> str:
@@ -301,35 +215,8 @@ def _write(path: Path, table: pa.Table) -> list[int]:
     with pa.ipc.new_file(sink, table.schema) as writer:
         writer.write_table(table.combine_chunks())
     content = sink.getvalue()
-    _replace(path, memoryview(content))
+    replace_file(path, memoryview(content))
     return [content.size, zlib.crc32(content)]
-
-
-def _write_json(path: Path, content: Json) -> None:
-    _replace(path, memoryview(json.dumps(content).encode()))
-
-
-def _replace(path: Path, content: memoryview) -> None:
-    """Give a file new content, at once or not at all."""
-    with translated(path, "write the cache"):
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-
-
-def _read_json(path: Path) -> Json:
-    """A record of the cache; empty if it is missing, damaged or of another edition."""
-    try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    sound = isinstance(content, dict) and content.get("edition") == EDITION
-    return content if sound else {}
 
 
 def _known(folder: Path) -> dict[str, tuple[str, int]]:
@@ -347,7 +234,7 @@ def _known(folder: Path) -> dict[str, tuple[str, int]]:
 
 def _agrees(folder: Path, shard: str, kind: str) -> bool:
     """Whether a file of a shard has the size and the CRC that were noted when it was written."""
-    sums = _read_json(folder / f"{shard}{SUMS}").get("sums", {})
+    sums = read_json(folder / f"{shard}{SUMS}").get("sums", {})
     try:
         with (folder / f"{shard}{kind}").open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
@@ -357,11 +244,6 @@ def _agrees(folder: Path, shard: str, kind: str) -> bool:
                 return bool(sums[kind] == [size, zlib.crc32(content)])
     except (OSError, TypeError, AttributeError):
         return False
-
-
-def _sound(folder: Path, shard: str) -> bool:
-    """Whether the steps of a shard can be learnt from."""
-    return _agrees(folder, shard, STEPS)
 
 
 def _remove(folder: Path, shards: Iterable[str]) -> None:
@@ -394,11 +276,12 @@ def _gathered(
         part.steps.schema for part in parts
     }
     if len(widths) > 2:
-        names = sorted(
+        robots = sorted(
             {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
         )
         raise SpecError(
-            f"logs of several layouts (robots: {', '.join(names)}): learn from one robot and one state layout at a time"
+            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one "
+            "state layout at a time"
         )
     return Logs(
         pa.concat_tables([part.steps for part in parts]),

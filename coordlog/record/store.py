@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -28,8 +29,6 @@ class Store(ABC):
     """Episodes by name; a context manager, which finishes what was published."""
 
     address: str
-    files: Files = Files((), ())
-    """What the last listing found besides episodes: what it left out, and why."""
 
     @abstractmethod
     def list(self) -> list[Entry]:
@@ -85,15 +84,13 @@ class LocalStore(Store):
         Raises:
             StorageError: if there is no such folder.
         """
-        entries = []
-        found = find_files(self.folder)
-        self.files = found._replace(paths=())
-        for path in found.paths:
-            with translated(path, "look at the file"):
-                status = path.stat()
-            name = path.relative_to(self.folder).as_posix()
-            entries.append(Entry(name, status.st_size, status.st_mtime_ns))
-        return entries
+        return [*self.entries(find_files(self.folder))]
+
+    def entries(self, files: Files) -> Sequence[Entry]:
+        """What a walk over the folder found, as entries."""
+        start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
+        names = map(os.fspath, files.paths)
+        return [Entry(name[start:], *files.stamps[name]) for name in names]
 
     def path(self, name: str) -> Path:
         """The path of an episode."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from coordlog.episode import Array, Episode
 from coordlog.path import Path
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.tracking import Drive, Run, run, targets, torques
 from coordlog.smooth.blending import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
@@ -76,7 +76,7 @@ def execute(log: Log, result: Result, episode: Episode) -> Execution:
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task, wanted = task_of(log), targets(log)
+    task, wanted = bound_task(log), targets(log)
     period = task.config.control_period
     raw = Torques.of(logged_torques(log, episode, wanted), period)
     if result.status == FALLBACK or not result.lam.any():
@@ -105,7 +105,7 @@ def logged_torques(log: Log, episode: Episode, wanted: Array) -> Array:
     logged = getattr(episode, "torque", None)
     if logged is None or not np.size(logged):
         return torques(log, wanted)
-    return np.asarray(logged[:, task_of(log).servos], dtype=np.float64)
+    return np.asarray(logged[:, bound_task(log).servos], dtype=np.float64)
 
 
 def follow(
@@ -124,7 +124,7 @@ def follow(
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task, wanted = task_of(log), targets(log) if wanted is None else wanted
+    task, wanted = bound_task(log), targets(log) if wanted is None else wanted
     period, last = task.config.control_period, result.spline.time[-1]
     lead = _lead(result, np.arange(len(angles)) * period, wanted - angles)
     low, high = task.limits.T
@@ -156,13 +156,19 @@ def worse(ran: Run, episode: Episode) -> str:
     if ran.diverged:
         return "makes the physics diverge"
     if columns["instability"].any() and not episode.instability.any():
-        return f"loses its balance at {columns['time'][int(columns['instability'].argmax())]:.2f} s, which the log does not"
+        return (
+            f"loses its balance at {columns['time'][int(columns['instability'].argmax())]:.2f} s, "
+            "which the log does not"
+        )
     if columns["collision"].any():
         step, names = int(columns["collision"].argmax()), episode.header.env["geoms"]
         deepest = ran.contacts[ran.contacts["depth"].argmax()]
         pair = f"{names[deepest['geom1']]} and {names[deepest['geom2']]}"
         if not episode.collision.any():
-            return f"collides at {columns['time'][step]:.2f} s ({pair}, {deepest['depth'] * 1e3:.1f} mm deep), which the log does not"
+            return (
+                f"collides at {columns['time'][step]:.2f} s ({pair}, {deepest['depth'] * 1e3:.1f} "
+                "mm deep), which the log does not"
+            )
         if (
             deepest["depth"] > episode.contacts["depth"].max() + DEEPER
             or columns["collision"].sum() > episode.collision.sum()
@@ -170,7 +176,10 @@ def worse(ran: Run, episode: Episode) -> str:
             return f"collides more than the log does ({pair}, {deepest['depth'] * 1e3:.1f} mm deep)"
     if episode.result.success and not columns["goal"][-1].all():
         nearest = columns["distance"][-1].max()
-        return f"no longer reaches the goal, which the log does (a palm ends {nearest * 1e3:.1f} mm from it)"
+        return (
+            f"no longer reaches the goal, which the log does (a palm ends {nearest * 1e3:.1f} mm "
+            "from it)"
+        )
     return ""
 
 

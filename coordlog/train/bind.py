@@ -13,7 +13,7 @@ from coordlog.contracts import Task as Rules
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.robots.robot import Robot
-from coordlog.spec import names
+from coordlog.spec import LEARNT, names, owned
 from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.observation import StateView
@@ -29,13 +29,13 @@ SPHERES = ("spheres", "nearness")
 """Parts of a state that tell of one sphere after the other."""
 SPHERE = 4
 """Entries of a sphere in the first of them: where it is, and its radius."""
-NEEDED = ("distance", "boundary", "goal", "collision", "instability")
+NEEDED = names(owned(LEARNT, "reach"))
 """Columns of a task that there must be for it to be learnt: rewards depend on nothing else."""
 SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "state_scale")
 """Keys of the record that must agree for logs to be learnt from together."""
 
 
-def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
+def learning_task(env: Json, *, reward: RewardConfig | None = None) -> Task:
     """The task that a `coordlog.env` record describes.
 
     Args:
@@ -104,7 +104,8 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
     for key in SAME:
         if _seen(first[key]) != _seen(other[key]):
             raise SpecError(
-                f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
+                f"{where}: its {key} is not that of the other logs; train on logs of one robot and "
+                "one state layout at a time"
             )
     tasks = [env.get("task", {"name": "reach"})["name"] for env in (first, other)]
     if tasks[0] != tasks[1]:
@@ -115,7 +116,8 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
     before, now = (env["config"]["control_period"] for env in (first, other))
     if before != now:
         raise SpecError(
-            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train on logs of one period at a time"
+            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train "
+            "on logs of one period at a time"
         )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import CoordlogError
-from coordlog.record.opening import File
 from coordlog.record.recording import Recording
 
 SLACK = 1e-3
@@ -21,13 +20,12 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 UNPROVEN = "physics, torques and balance cannot be proven"
 
 
-def judged(path: File) -> str:
+def judged(recording: Recording) -> str:
     """One sentence about an observed episode; "" for one that was simulated.
 
     Raises:
         FormatError: if the file is no finished episode.
     """
-    recording = Recording(path)
     if recording.header.kind != "observed":
         return ""
     said = [_speeds(recording.episode)]
@@ -89,7 +87,10 @@ def _contacts(episode: Episode, model: mujoco.MjModel) -> str:
                 pair = " and ".join(_name(model, int(geom)) for geom in contact.geom)
     if not touching:
         return "no contact of the model with itself or its scene at the samples"
-    return f"contact at {touching} of {len(episode.qpos)} samples, deepest {deepest * 1e3:.3g} mm ({pair})"
+    return (
+        f"contact at {touching} of {len(episode.qpos)} samples, deepest {deepest * 1e3:.3g} mm "
+        f"({pair})"
+    )
 
 
 def _name(model: mujoco.MjModel, geom: int) -> str:

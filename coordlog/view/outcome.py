@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from coordlog.episode import Array, Episode
-from coordlog.tasks.reach.observation import StateView
 from coordlog.view.palette import BAD, EXECUTED, FAIR, GOOD, Colour
 from coordlog.view.show import Show
 from coordlog.view.text import plain, title, verdict
@@ -69,7 +68,7 @@ class Outcome:
         episode, header = show.episode, show.episode.header
         arms, goals = header.arms, np.array(header.episode["goals"])
         if episode.has("distance"):
-            palms = StateView.from_json(header.env).physical(episode.state, "palms")
+            palms = episode.physical("palms")
         else:
             arms, goals, palms = (), np.zeros((0, 3)), np.zeros((len(episode) + 1, 0))
         k = len(arms)
@@ -173,7 +172,8 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
         median, most = np.percentile(finite, [50, 90])
         lines += [
             "",
-            f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm.",
+            f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below "
+            f"{most * 100:.1f} cm.",
         ]
     lines += ["", "### Open next", "", "| # | episode | ended as | why |", "|---|---|---|---|"]
     names = _short([outcome.file for outcome in outcomes])
@@ -185,7 +185,8 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
         [
             *lines,
             "",
-            "Put the cursor of the time line on its number to see its hands and the command that opens it.",
+            "Put the cursor of the time line on its number to see its hands and the command that "
+            "opens it.",
         ]
     )
 
