@@ -63,6 +63,10 @@ def decode(frames: Frames, where: str) -> JointStates:
                 raise FormatError(
                     f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
                 )
+            if not own:
+                raise FormatError(
+                    f"{where}: message {at[0]}: expected joints, got not a single one"
+                )
             to = _places_among(own, names, order, f"{where}: message {at[0]}")
             position[at[:, None], to] = columns[0]
             moving = moving and columns[1].shape == columns[0].shape
@@ -102,7 +106,7 @@ def _ordered(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array
         where = f"{topic}: message {at[first[i]]}"
         own, own_end = _names(bytes(start) + row.tobytes(), start, where)
         if set(own) != set(names) or own_end != end:
-            _refuse(set(own) ^ set(names), where)
+            _refuse(own, names, where)
         table[i] = [place[name] for name in own]
     return names, table[inverse], end
 
@@ -124,12 +128,14 @@ def _columns(data: Array, at: int, where: str) -> list[Array]:
     """Position, velocity and effort of messages laid out alike."""
     columns = []
     for _ in range(3):
+        if at + 4 > data.shape[1]:
+            raise FormatError(f"{where}: a JointState that was cut off")
         counts = np.ascontiguousarray(data[:, at : at + 4]).view("<u4")
-        size = int(counts[0, 0]) if counts.size else -1
+        size = int(counts[0, 0])
         at += 4
         if size > 0:
             at += -(at - 4) % 8  # doubles are aligned to 8 bytes after the encapsulation
-        if size < 0 or (counts != size).any() or at + 8 * size > data.shape[1]:
+        if (counts != size).any() or at + 8 * size > data.shape[1]:
             raise FormatError(f"{where}: a JointState whose lengths do not add up")
         cut = np.ascontiguousarray(data[:, at : at + 8 * size])
         columns.append(cut.view("<f8") if size else np.zeros((len(data), 0)))
@@ -140,13 +146,15 @@ def _columns(data: Array, at: int, where: str) -> list[Array]:
 def _places_among(own: tuple[str, ...], names: tuple[str, ...], order: Array, where: str) -> Array:
     """Each row's joints as places among those of the first message of all."""
     if set(own) != set(names) or len(own) != len(names):
-        _refuse(set(own) ^ set(names), where)
+        _refuse(own, names, where)
     return np.array([names.index(name) for name in own], np.int64)[order]
 
 
-def _refuse(others: set[str], where: str) -> None:
+def _refuse(own: tuple[str, ...], names: tuple[str, ...], where: str) -> None:
+    lost, new = sorted(set(names) - set(own)), sorted(set(own) - set(names))
+    parts = [f"without {', '.join(lost)}"] * bool(lost) + [f"with {', '.join(new)}"] * bool(new)
     raise FormatError(
-        f"{where}: expected the joints of the first message, got others: {', '.join(sorted(others))}; several publishers share the topic"
+        f"{where}: expected the joints of the first message, got a message {' and '.join(parts) or 'of other counts'}: the names changed, or several publishers share the topic; record each on a topic of its own"
     )
 
 
