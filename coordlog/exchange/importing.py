@@ -33,6 +33,10 @@ from coordlog.exchange.sources import Reading, digest_of, kind_of, motions
 from coordlog.record.writer import write_episode
 
 
+BLOCK = 1000
+"""Steps of a chunk: many, for all of them are there before the first is written."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """How sources become episodes.
@@ -173,7 +177,9 @@ def import_source(
         target.with_name(target.name + ".part").unlink(missing_ok=True)
         parameters = _parameters(piece, plan, robot)
         episode = observe(piece.motion, robot, digest=digest, index=index, parameters=parameters)
-        write_episode(target, episode, attachments=attachments(episode, robot), display=True)
+        write_episode(
+            target, episode, attachments=attachments(episode, robot), display=True, block=BLOCK
+        )
     steps = sum(len(piece.motion) - 1 for piece in kept)
     return Imported(path, tuple(paths), steps, tuple(kept), tuple(left_out), present)
 

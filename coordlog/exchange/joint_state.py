@@ -18,6 +18,8 @@ from coordlog.exchange.frames import Frames
 from coordlog.exchange.motion import NS
 
 _LITTLE_ENDIAN = (0, 1)
+_ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)
+"""How a Zstandard frame begins."""
 
 
 class JointStates(NamedTuple):
@@ -46,6 +48,10 @@ def decode(frames: Frames, where: str) -> JointStates:
     position = velocity = np.zeros((0, 0))
     moving = True
     for places, data in sorted(frames.groups, key=lambda group: int(group[0].min())):
+        if (data[:, :4] == _ZSTD).all():
+            raise FormatError(
+                f"{where}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
+            )
         if data.shape[1] < 16 or (data[:, :2] != _LITTLE_ENDIAN).any():
             raise FormatError(
                 f"{where}: message {places[0]}: expected a JointState in little-endian CDR"

@@ -91,6 +91,10 @@ def kind_of(path: Path) -> str:
         return "rosbag2" if is_ros2(path) else "mcap"
     if path.suffix == ".bag":
         raise FormatError(f"{path}: a ROS 1 bag: `rosbags-convert` makes a ROS 2 bag of it")
+    if path.suffix in (".zstd", ".zst", ".gz"):
+        raise FormatError(
+            f"{path}: a compressed file: give the bag's folder, whose metadata.yaml says how, or unpack it"
+        )
     if path.suffix not in suffixes:
         raise FormatError(
             f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data set, got '{path.suffix}'"
