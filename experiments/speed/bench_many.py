@@ -32,10 +32,10 @@ from coordlog.catalog.packing import pack_files
 from coordlog.catalog.query import Source, ask
 from coordlog.catalog.rows import KEPT
 from coordlog.catalog.selection import Split, select
+from coordlog.catalog.summary import summarise
 from coordlog.parallel import mapped
 from coordlog.record import manifest
 from coordlog.record.addresses import fetch, name_within
-from coordlog.record.info import summarise
 from coordlog.record.pack_writer import PackWriter
 from coordlog.record.packs import Pack
 from coordlog.record.places import Folder
@@ -56,6 +56,7 @@ Row = tuple[str, float, str]
 
 
 def main() -> None:
+    """Measure what the command line names."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

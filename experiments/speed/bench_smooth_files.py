@@ -70,6 +70,7 @@ class Worker:
 
 
 def main() -> None:
+    """Compare on every log."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("logs", type=Path, help="folder of episodes that both trees read")
     parser.add_argument("--before", type=Path, required=True, help="checkout to compare with")
@@ -83,9 +84,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         before, after = Worker(arguments.before, Path(folder, "b")), Worker(HERE, Path(folder, "a"))
         for was, now in sources[:2]:  # the first calls import and warm up
-            before.smooth(was), after.smooth(now)
+            before.smooth(was)
+            after.smooth(now)
         ratios = [compare(pair, before, after, arguments.rounds) for pair in sources]
-        before.close(), after.close()
+        before.close()
+        after.close()
     print(
         f"median of the ratios {median(ratios):.3f}, n = {len(ratios)}, from "
         f"{min(ratios):.3f} to {max(ratios):.3f}"
