@@ -122,9 +122,9 @@ def _split(name: str) -> tuple[str, str]:
 
 
 def _of_text(column: pa.ChunkedArray, where: str) -> tuple[pa.ChunkedArray, pa.DataType]:
-    """Dates or times of day that were written as text."""
+    """Dates and times that were written as text."""
     points = pc.replace_substring(column, ",", ".")
-    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC"), pa.time64("ns")):
+    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
         try:
             return points.cast(kind), kind
         except pa.ArrowInvalid:

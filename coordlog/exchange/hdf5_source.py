@@ -6,6 +6,7 @@ HDF5 can point out of the file, at other files and at objects by reference: such
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def motions(
             keys = ROBOMIMIC_KEYS if robomimic else MINARI_KEYS
             for name in episodes:
                 yield _motion(path, kind, name, group[name], state, keys, hertz, names)
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
         raise FormatError(f"{file_path}: not an HDF5 file that can be read: {error}") from error
 
 
@@ -166,6 +167,7 @@ def _rate(group: Any) -> float:
     """Control frequency that robosuite writes into robomimic's env_args."""
     try:
         args = json.loads(group.attrs["env_args"])
-        return float(args["env_kwargs"]["control_freq"])
+        rate = float(args["env_kwargs"]["control_freq"])
+        return rate if 0 < rate < math.inf else 0.0
     except (KeyError, TypeError, ValueError):
         return 0.0

@@ -32,7 +32,6 @@ from coordlog.exchange.robot_model import RobotModel
 from coordlog.exchange.sources import Reading, digest_of, kind_of, motions
 from coordlog.record.writer import write_episode
 
-
 BLOCK = 1000
 """Steps of a chunk: many, for all of them are there before the first is written."""
 

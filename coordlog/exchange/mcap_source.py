@@ -69,8 +69,12 @@ def motions(
                 stamps.append(message.log_time)
         except (McapError, OSError, EOFError) as error:
             raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            raise FormatError(f"{path}: message {len(rows)}: expected JSON: {error}") from error
         except (TypeError, ValueError, KeyError, AttributeError) as error:
-            raise FormatError(f"{path}: message {len(rows)}: {error}") from error
+            raise FormatError(
+                f"{path}: message {len(rows)}: expected numbers as positions: {error}"
+            ) from error
     yield Motion(
         path,
         "mcap",
@@ -98,6 +102,10 @@ def is_ros2(path: Path) -> bool:
     kinds = (
         {channel.message_encoding for channel in summary.channels.values()} if summary else set()
     )
+    if kinds and not kinds & {"cdr", *ENCODINGS}:
+        raise FormatError(
+            f"{path}: expected messages in cdr (ROS 2), {' or '.join(ENCODINGS)}, got {', '.join(sorted(kinds))}"
+        )
     return not kinds & set(ENCODINGS)
 
 

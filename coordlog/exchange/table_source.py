@@ -68,10 +68,10 @@ def motions(
         (raw, notes), kind = read_csv(path), "csv"
     table = _stamped(_flat(path, raw))
     named, unit = _clock(path, table, clock, rate)
-    chosen = _positions(path, table, columns, named)
     if not len(table):
         raise FormatError(f"{path}: expected a row per sample, got not a single one")
-    _require_radians(path, table, chosen, degrees)
+    chosen = _positions(path, table, columns, named)
+    _require_radians(path, raw.schema, chosen, degrees)
     position = np.stack([_numbers(path, table, name) for name in chosen], axis=1)
     stamps, said = _stamps(path, table, named, unit, rate)
     notes += clocks.suspected(stamps, said, named) if named else ()
@@ -272,10 +272,11 @@ def _left_out(table: pa.Table, chosen: Sequence[str], clock: str) -> tuple[str, 
     return (f"columns that were not taken: {', '.join(lost)}",) if lost else ()
 
 
-def _require_radians(path: Path, table: pa.Table, chosen: Sequence[str], degrees: bool) -> None:
+def _require_radians(path: Path, schema: pa.Schema, chosen: Sequence[str], degrees: bool) -> None:
     """Hold columns to be in radians, by their names and by the unit in their metadata."""
     for name in chosen:
-        about = table.schema.field(name).metadata or {}
+        place = schema.get_field_index(name)
+        about = (schema.field(place).metadata or {}) if place >= 0 else {}
         unit = about.get(b"unit", b"").decode("utf-8", "replace")
         marked = _DEGREES.search(name) or _DEGREES_FIRST.search(name) or _DEGREES.search(" " + unit)
         if marked and not degrees:
