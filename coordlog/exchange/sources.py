@@ -73,7 +73,8 @@ def kind_of(path: Path) -> str:
                 f"{path}: a bag without its metadata.yaml: give its .mcap or .db3 file itself, or `ros2 bag reindex` the folder"
             )
         raise FormatError(
-            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) or data/metadata.json (Minari), got none of them"
+            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
+            "or data/metadata.json (Minari), got none of them"
         )
     if not path.is_file():
         raise FormatError(f"{path}: expected a file or a folder, got a pipe, a socket or a device")
@@ -97,7 +98,8 @@ def kind_of(path: Path) -> str:
         )
     if path.suffix not in suffixes:
         raise FormatError(
-            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data set, got '{path.suffix}'"
+            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data "
+            f"set, got '{path.suffix}'"
         )
     return suffixes[path.suffix]
 
