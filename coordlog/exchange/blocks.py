@@ -128,7 +128,8 @@ def export(
     other = [camera for camera in options.cameras if camera.endswith((":depth", ":segmentation"))]
     if other and options.to not in WITH_ARRAYS:
         raise ConfigError(
-            f"--camera {other[0]}: videos hold colours alone; these hold arrays: {', '.join(WITH_ARRAYS)}"
+            f"--camera {other[0]}: videos hold colours alone; these hold arrays: "
+            f"{', '.join(WITH_ARRAYS)}"
         )
     if options.storage not in STORAGES:
         raise unknown("storage", options.storage, STORAGES)

@@ -108,7 +108,8 @@ def suspected(stamps: Array, said: str, name: str) -> tuple[str, ...]:
     if said or period < SLOW:
         return ()
     return (
-        f"a sample every {period:.4g} s: '{name}' may be in another unit; --clock {name}:ms (or us, ns) says so",
+        f"a sample every {period:.4g} s: '{name}' may be in another unit; --clock {name}:ms (or "
+        "us, ns) says so",
     )
 
 
@@ -131,7 +132,8 @@ def _of_text(column: pa.ChunkedArray, where: str) -> tuple[pa.ChunkedArray, pa.D
             continue
     texts = column.to_pylist()
     raise FormatError(
-        f"{where}: expected seconds, or dates and times written alike (ISO 8601), got '{texts[0]}' to '{texts[-1]}'"
+        f"{where}: expected seconds, or dates and times written alike (ISO 8601), got "
+        f"'{texts[0]}' to '{texts[-1]}'"
     )
 
 

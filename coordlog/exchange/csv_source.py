@@ -1,4 +1,4 @@
-"""CSV as an Arrow table, whatever its delimiter and line ends; what is odd about it in a sentence."""
+"""CSV as an Arrow table, whatever its delimiter and line ends."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ def number_text(path: Path, table: pa.Table, name: str) -> None:
     bad = [i for i, text in enumerate(texts) if not _NUMBER.fullmatch(text or "")]
     if len(bad) == len(texts) or not bad:
         raise FormatError(
-            f"{path}: column '{name}': expected numbers, got text such as '{texts[0]!s:.40}'; choose columns with --columns"
+            f"{path}: column '{name}': expected numbers, got text such as '{texts[0]!s:.40}'; "
+            "choose columns with --columns"
         )
     raise FormatError(
         f"{path}: column '{name}', row {bad[0]}: expected a number, got '{texts[bad[0]]!s:.40}'"
@@ -80,7 +81,8 @@ def _utf8(path: Path) -> bytes:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise FormatError(
-            f"{path}: line {line}: expected UTF-8, got the byte {data[error.start]:#04x}: another encoding, or no text; save it as UTF-8"
+            f"{path}: line {line}: expected UTF-8, got the byte {data[error.start]:#04x}: another "
+            "encoding, or no text; save it as UTF-8"
         ) from error
     return data
 
@@ -89,7 +91,8 @@ def _require_header(path: Path, head: str, delimiter: str) -> None:
     cells = [cell.strip().strip('"') for cell in head.split(delimiter)]
     if head.startswith("#"):
         raise FormatError(
-            f"{path}: line 1: expected a header of column names, got a comment; take the # away, or the line"
+            f"{path}: line 1: expected a header of column names, got a comment; take the # away, "
+            "or the line"
         )
     if all(_NUMBER.fullmatch(cell) for cell in cells):
         raise FormatError(
@@ -104,5 +107,6 @@ def _require_points(path: Path, data: bytes, delimiter: str) -> None:
         line = data.count(b"\n", 0, found.start(0) + 1) + 1
         text = found.group(0).strip(b';\t"\r\n').decode()
         raise FormatError(
-            f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it with points"
+            f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it "
+            "with points"
         )

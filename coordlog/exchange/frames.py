@@ -157,12 +157,14 @@ def require_whole(file: Path) -> None:
             raise FormatError(f"{file}: expected an MCAP file, got one that begins otherwise")
         if tail != MAGIC or file.stat().st_size < 2 * len(MAGIC):
             raise FormatError(
-                f"{file}: ends without MCAP's closing bytes: it was cut off; `mcap recover` mends it"
+                f"{file}: ends without MCAP's closing bytes: it was cut off; `mcap recover` mends "
+                "it"
             )
         return
     if not head.startswith(b"SQLite format 3\0"):
         raise FormatError(
-            f"{file}: expected an sqlite3 file, got one that begins otherwise: another kind, or encrypted"
+            f"{file}: expected an sqlite3 file, got one that begins otherwise: another kind, or "
+            "encrypted"
         )
     page = int.from_bytes(head[16:18], "big")
     wanted = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")

@@ -72,7 +72,8 @@ def _minari_file(path: Path) -> Path:
     kind = about.get("data_format", "hdf5") if isinstance(about, dict) else "hdf5"
     if kind != "hdf5":
         raise FormatError(
-            f'{path}: expected a Minari set in hdf5, got {kind}; make it again with data_format="hdf5"'
+            f"{path}: expected a Minari set in hdf5, got {kind}; "
+            'make it again with data_format="hdf5"'
         )
     return path / "data" / "main_data.hdf5"
 

@@ -161,7 +161,8 @@ def import_source(
     kept = [piece for piece in pieces if len(piece.motion) > 1]
     if not kept:
         raise FormatError(
-            f"{path}: expected two samples of different stamps in a row, got {len(pieces)} by themselves"
+            f"{path}: expected two samples of different stamps in a row, got {len(pieces)} by "
+            "themselves"
             + "".join(f"; {note}" for piece in pieces[:1] for note in piece.motion.notes)
         )
     out.mkdir(parents=True, exist_ok=True)

@@ -50,7 +50,8 @@ def decode(frames: Frames, where: str) -> JointStates:
     for places, data in sorted(frames.groups, key=lambda group: int(group[0].min())):
         if (data[:, :4] == _ZSTD).all():
             raise FormatError(
-                f"{where}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
+                f"{where}: expected messages as they are, got each compressed by itself: `ros2 "
+                "bag convert` the bag without compression_mode first"
             )
         if data.shape[1] < 16 or (data[:, :2] != _LITTLE_ENDIAN).any():
             raise FormatError(
@@ -67,7 +68,8 @@ def decode(frames: Frames, where: str) -> JointStates:
             columns = _columns(part, end, f"{where}: message {at[0]}")
             if columns[0].shape[1] != len(own):
                 raise FormatError(
-                    f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
+                    f"{where}: message {at[0]}: expected a position for each of {len(own)} "
+                    f"joints, got {columns[0].shape[1]}"
                 )
             if not own:
                 raise FormatError(
@@ -160,7 +162,9 @@ def _refuse(own: tuple[str, ...], names: tuple[str, ...], where: str) -> None:
     lost, new = sorted(set(names) - set(own)), sorted(set(own) - set(names))
     parts = [f"without {', '.join(lost)}"] * bool(lost) + [f"with {', '.join(new)}"] * bool(new)
     raise FormatError(
-        f"{where}: expected the joints of the first message, got a message {' and '.join(parts) or 'of other counts'}: the names changed, or several publishers share the topic; record each on a topic of its own"
+        f"{where}: expected the joints of the first message, got a message "
+        f"{' and '.join(parts) or 'of other counts'}: the names changed, or several publishers "
+        "share the topic; record each on a topic of its own"
     )
 
 

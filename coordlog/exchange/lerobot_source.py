@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.motion import NS, Motion
-from coordlog.exchange.table_source import is_list
+from coordlog.exchange.parquet_source import is_list
 
 VERSIONS = ("v3.0", "v2.1", "v2.0")
 STATE, ACTION = "observation.state", "action"

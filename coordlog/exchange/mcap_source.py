@@ -105,7 +105,8 @@ def is_ros2(path: Path) -> bool:
     )
     if kinds and not kinds & {"cdr", *ENCODINGS}:
         raise FormatError(
-            f"{path}: expected messages in cdr (ROS 2), {' or '.join(ENCODINGS)}, got {', '.join(sorted(kinds))}"
+            f"{path}: expected messages in cdr (ROS 2), {' or '.join(ENCODINGS)}, got "
+            f"{', '.join(sorted(kinds))}"
         )
     return not kinds & set(ENCODINGS)
 

@@ -149,14 +149,18 @@ def require_usable(motion: Motion) -> None:
     if len(bad):
         row, joint = bad[0].tolist()
         raise FormatError(
-            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got {motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} samples are unusable: mend the source first"
+            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got "
+            f"{motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} "
+            "samples are unusable: mend the source first"
         )
     back = motion.timing.backwards
     if back:
         at = back[0]
+        other = "--stamps chooses another clock, " if motion.format == "rosbag2" else ""
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
-            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s ({motion.clock or 'its clock'}); {'--stamps chooses another clock, ' if motion.format == 'rosbag2' else ''}--split-clock begins an episode there"
+            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "
+            f"({motion.clock or 'its clock'}); {other}--split-clock begins an episode there"
         )
 
 
@@ -208,7 +212,8 @@ def resampled(motion: Motion, rate: float) -> Motion:
     period = NS / rate
     if (motion.stamps[-1] - motion.stamps[0]) / period > MOST_SAMPLES * len(motion):
         raise ConfigError(
-            f"--resample {rate:g}: more than {MOST_SAMPLES} samples for each of the {len(motion)} in {motion}; choose fewer a second"
+            f"--resample {rate:g}: more than {MOST_SAMPLES} samples for each of the {len(motion)} "
+            f"in {motion}; choose fewer a second"
         )
     count = int((motion.stamps[-1] - motion.stamps[0]) / period + 1e-9) + 1
     stamps = motion.stamps[0] + np.rint(np.arange(count) * period).astype(np.int64)

@@ -12,7 +12,6 @@ Source: rosbags 0.11.9, rosbag2/; trajectory_msgs of ROS 2.
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 import struct
@@ -20,7 +19,6 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,14 +26,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Header, Statistics
+from mcap.records import Header
 from mcap.writer import Writer as McapWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from coordlog.episode import Json
 from coordlog.episode import Path as JointPath
 from coordlog.exchange.blocks import Block, Options
+from coordlog.exchange.rosbag2_metadata import (
+    File,
+    Topic,
+    definition,
+    hash_of,
+    metadata,
+    ros2,
+    summarized,
+)
 from coordlog.exchange.source import Loaded
 from coordlog.record.chunk import definitions, expand
 from coordlog.record.opening import summary_start
@@ -43,7 +48,6 @@ from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, pack, unpack_def
 
 TRAJECTORY_TOPIC = "/joint_trajectory"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-VERSION = 9
 PROFILE = "ros2"
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 _PREFIX = 22
@@ -59,9 +63,9 @@ CREATE TABLE topics(
   id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
   serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,
   type_description_hash TEXT NOT NULL);
-CREATE TABLE message_definitions(
+CREATE TABLE messagedefinitions(
   id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+  encoded_messagedefinition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
 CREATE TABLE messages(
   id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
   data BLOB NOT NULL);
@@ -69,26 +73,6 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema VALUES (4, 'coordlog');
 """
 """Tables of rosbag2's sqlite3 storage, schema 4."""
-
-
-class Topic(NamedTuple):
-    """A topic of one file of a bag."""
-
-    name: str
-    kind: str
-    text: str
-    """definition of its messages"""
-    count: int
-
-
-class File(NamedTuple):
-    """What metadata.yaml says of one file of a bag."""
-
-    name: str
-    start: int
-    """first log time [ns]"""
-    stop: int
-    topics: tuple[Topic, ...]
 
 
 class Message(NamedTuple):
@@ -130,10 +114,10 @@ def write_bag(loaded: Loaded, target: Path, *, storage: str = "mcap") -> None:
     else:
         path = target / f"{target.name}.mcap"
         path.write_bytes(_under_profile(loaded.data))
-        files = [_summarized(loaded.data, path.name)]
+        files = [summarized(loaded.data, path.name)]
         if moves:
             files.insert(0, _trajectory_file(target, moves, start))
-    (target / "metadata.yaml").write_text(_metadata(files, storage, loaded.named()), "utf-8")
+    (target / "metadata.yaml").write_text(metadata(files, storage, loaded.named()), "utf-8")
 
 
 def _joints(loaded: Loaded) -> Sequence[str]:
@@ -145,20 +129,20 @@ def _sqlite3(data: bytes, path: Path, moves: bytes, start: int) -> File:
     schemas, messages = _messages(data)
     found = list(messages)
     if moves:
-        schemas[TRAJECTORY_TOPIC] = (TRAJECTORY, _definition(TRAJECTORY))
+        schemas[TRAJECTORY_TOPIC] = (TRAJECTORY, definition(TRAJECTORY))
         found.insert(0, Message(TRAJECTORY_TOPIC, start, moves))
     numbers = {topic: i for i, topic in enumerate(schemas, 1)}
     kinds = sorted(set(schemas.values()))
     with closing(sqlite3.connect(path)) as bag:
         bag.executescript(f"PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; {_TABLES}")
         bag.executemany(
-            "INSERT INTO message_definitions VALUES (NULL, ?, 'ros2msg', ?, ?)",
-            [(kind, text, _hash(kind, text)) for kind, text in kinds],
+            "INSERT INTO messagedefinitions VALUES (NULL, ?, 'ros2msg', ?, ?)",
+            [(kind, text, hash_of(kind, text)) for kind, text in kinds],
         )
         bag.executemany(
             "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '[]', ?)",
             [
-                (numbers[name], name, kind, _hash(kind, text))
+                (numbers[name], name, kind, hash_of(kind, text))
                 for name, (kind, text) in schemas.items()
             ],
         )
@@ -175,7 +159,7 @@ def _sqlite3(data: bytes, path: Path, moves: bytes, start: int) -> File:
 def _trajectory_file(target: Path, moves: bytes, start: int) -> File:
     """The trajectory in a file of its own, before the log's in the bag: the log stays as it is."""
     name = f"{target.name}_trajectory.mcap"
-    text = _definition(TRAJECTORY)
+    text = definition(TRAJECTORY)
     with (target / name).open("wb") as stream:
         writer = McapWriter(stream)
         writer.start(profile=PROFILE, library="coordlog")
@@ -205,100 +189,6 @@ def _under_profile(data: bytes) -> bytes:
     if crc:  # zero: the writer left it out
         DATA_END.pack_into(whole, end, opcode, size, zlib.crc32(whole[:end]))
     return bytes(whole)
-
-
-def _summarized(data: bytes, name: str) -> File:
-    """What metadata.yaml says of an MCAP file, from its summary."""
-    start = summary_start(data[-TAIL_SIZE:], len(data))
-    summary = data[start : len(data) - TAIL_SIZE]
-    schemas, channels = unpack_definitions(summary)
-    kinds = {schema.id: schema for schema in schemas}
-    (span,) = (span for span in walk(summary, 0) if span.opcode == Opcode.STATISTICS)
-    about = Statistics.read(ReadDataStream(BytesIO(summary[span.start : span.end])))
-    topics = tuple(
-        Topic(
-            channel.topic,
-            kinds[channel.schema_id].name,
-            kinds[channel.schema_id].data.decode(),
-            about.channel_message_counts.get(channel.id, 0),
-        )
-        for channel in channels
-    )
-    return File(name, about.message_start_time, about.message_end_time, topics)
-
-
-def _metadata(files: Sequence[File], storage: str, origin: Json) -> str:
-    """metadata.yaml of a bag."""
-    topics = [
-        {
-            "topic_metadata": {
-                "name": topic.name,
-                "type": topic.kind,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": [],
-                "type_description_hash": _hash(topic.kind, topic.text),
-            },
-            "message_count": topic.count,
-        }
-        for file in files
-        for topic in file.topics
-    ]
-    begin, end = min(file.start for file in files), max(file.stop for file in files)
-    information = {
-        "version": VERSION,
-        "storage_identifier": storage,
-        "duration": {"nanoseconds": end - begin},
-        "starting_time": {"nanoseconds_since_epoch": begin},
-        "message_count": sum(topic.count for file in files for topic in file.topics),
-        "topics_with_message_count": topics,
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [
-            {
-                "path": file.name,
-                "starting_time": {"nanoseconds_since_epoch": file.start},
-                "duration": {"nanoseconds": file.stop - file.start},
-                "message_count": sum(topic.count for topic in file.topics),
-            }
-            for file in files
-        ],
-        "custom_data": {
-            key: value if isinstance(value, str) else json.dumps(value)
-            for key, value in origin.items()
-        },
-        "ros_distro": "coordlog",
-    }
-    # JSON is YAML: no other library's dumper is as fast
-    text = json.dumps({"rosbag2_bagfile_information": information}, indent=2, ensure_ascii=False)
-    return text + "\n"
-
-
-@lru_cache(maxsize=8)
-def _definition(kind: str) -> str:
-    return str(ros2().generate_msgdef(kind, ros_version=2)[0])
-
-
-@lru_cache(maxsize=64)
-def _hash(kind: str, text: str) -> str:
-    return str(types_of(kind, text).hash_rihs01(kind))
-
-
-@lru_cache(maxsize=1)
-def ros2() -> Typestore:
-    """The standard messages of ROS 2."""
-    return get_typestore(Stores.LATEST)
-
-
-@lru_cache(maxsize=64)
-def types_of(kind: str, text: str) -> Typestore:
-    """A store that knows one more message type, given its definition."""
-    known = ros2()
-    if kind in known.fielddefs:
-        return known
-    own = get_typestore(Stores.LATEST)
-    own.register(get_types_from_msg(text, kind))
-    return own
 
 
 def trajectory(path: JointPath, names: Sequence[str]) -> bytes:

@@ -22,7 +22,7 @@ from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.frames import of_files, require_whole
 from coordlog.exchange.joint_state import decode
 from coordlog.exchange.motion import NS, Motion
-from coordlog.exchange.rosbag2 import ros2
+from coordlog.exchange.rosbag2_metadata import ros2
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -175,12 +175,14 @@ def _dynamic(
         where = f"{path}: {connection.topic}: message {i}"
         if len(message.joint_names) != len(message.interface_values):
             raise FormatError(
-                f"{where}: expected interfaces of {len(message.joint_names)} joints, got {len(message.interface_values)}"
+                f"{where}: expected interfaces of {len(message.joint_names)} joints, got "
+                f"{len(message.interface_values)}"
             )
         for name, value in zip(message.joint_names, message.interface_values, strict=True):
             if len(value.interface_names) != len(value.values):
                 raise FormatError(
-                    f"{where}: {name}: expected a value for each of {', '.join(value.interface_names)}, got {len(value.values)}"
+                    f"{where}: {name}: expected a value for each of "
+                    f"{', '.join(value.interface_names)}, got {len(value.values)}"
                 )
             pairs = dict(zip(value.interface_names, value.values, strict=True))
             if "position" in pairs:
@@ -228,7 +230,8 @@ def _trajectories(
         for k, point in enumerate(message.points):
             if not width or len(point.positions) != width:
                 raise FormatError(
-                    f"{path}: {connection.topic}: message {i}: point {k}: expected positions of {width} joints, got {len(point.positions)}"
+                    f"{path}: {connection.topic}: message {i}: point {k}: expected positions of "
+                    f"{width} joints, got {len(point.positions)}"
                 )
         position = np.array([point.positions for point in message.points], np.float64)
         moving = all(len(point.velocities) == width for point in message.points)
@@ -255,7 +258,8 @@ def chosen_clock(where: str, header: Array, log: Array, wanted: str) -> tuple[Ar
     unset = np.flatnonzero(header == 0)
     if len(unset) and header.any():
         raise FormatError(
-            f"{where}: message {unset[0]}: expected a header stamp, got zero, as in {len(unset)} of {len(header)} messages; --stamps log takes the log times"
+            f"{where}: message {unset[0]}: expected a header stamp, got zero, as in {len(unset)} "
+            f"of {len(header)} messages; --stamps log takes the log times"
         )
     return header, "header stamps"
 

@@ -70,7 +70,8 @@ def kind_of(path: Path) -> str:
                 return kind
         if any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):
             raise FormatError(
-                f"{path}: a bag without its metadata.yaml: give its .mcap or .db3 file itself, or `ros2 bag reindex` the folder"
+                f"{path}: a bag without its metadata.yaml: give its .mcap or .db3 file itself, or "
+                "`ros2 bag reindex` the folder"
             )
         raise FormatError(
             f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
@@ -94,7 +95,8 @@ def kind_of(path: Path) -> str:
         raise FormatError(f"{path}: a ROS 1 bag: `rosbags-convert` makes a ROS 2 bag of it")
     if path.suffix in (".zstd", ".zst", ".gz"):
         raise FormatError(
-            f"{path}: a compressed file: give the bag's folder, whose metadata.yaml says how, or unpack it"
+            f"{path}: a compressed file: give the bag's folder, whose metadata.yaml says how, or "
+            "unpack it"
         )
     if path.suffix not in suffixes:
         raise FormatError(

@@ -8,21 +8,19 @@ numbers. What is not taken is named in the notes.
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange import clock as clocks
 from coordlog.exchange.csv_source import number_text, read_csv
 from coordlog.exchange.motion import NS, Motion
+from coordlog.exchange.parquet_source import flat, is_number, read_parquet
 
 CUTS = ("episode", "episode_index", "episode_id")
 NUMBERS = re.compile(
@@ -35,8 +33,6 @@ _DEGREES = re.compile(r"(_in)?[\s_./]*[\[(]?(\bdeg|(?<=[_\W])deg|degs|degrees?|Â
 _DEGREES_FIRST = re.compile(r"^deg(rees?)?[\s_.]+", re.I)
 _POSITION = re.compile(r"[._ ]pos(ition)?s?$", re.I)
 _UNIT = re.compile(r"\s*(_rad|\[rad\]|\(rad\)|\[m\]|\(m\)|[._]pos(ition)?s?)$", re.I)
-NAMES = ("name", "names", "joint_names")
-"""Columns of lists with the joints' names."""
 _PAIRS = ((".sec", ".nanosec"), (".secs", ".nsecs"), ("_sec", "_nanosec"), ("_sec", "_nsec"))
 """Ends of two columns that are one ROS stamp."""
 
@@ -63,10 +59,10 @@ def motions(
         ConfigError: if clock or columns must be named and are not.
     """
     if path.suffix == ".parquet":
-        (raw, notes), kind = (_parquet(path), ()), "parquet"
+        (raw, notes), kind = (read_parquet(path), ()), "parquet"
     else:
         (raw, notes), kind = read_csv(path), "csv"
-    table = _stamped(_flat(path, raw))
+    table = _stamped(flat(path, raw))
     named, unit = _clock(path, table, clock, rate)
     if not len(table):
         raise FormatError(f"{path}: expected a row per sample, got not a single one")
@@ -90,112 +86,6 @@ def motions(
             where={"columns": list(chosen), "clock": named, "rows": [first, stop]},
             notes=notes,
         )
-
-
-def _parquet(path: Path) -> pa.Table:
-    try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
-        twice = _twice([item.name for item in file.schema_arrow])
-        if twice:
-            raise FormatError(
-                f"{path}: column '{twice}': stands twice; give each a name of its own"
-            )
-        return file.read()
-    except (pa.ArrowException, OSError) as error:
-        said = str(error).splitlines()[0].replace(f" '{path}'", "")
-        raise FormatError(f"{path}: not Parquet that can be read: {said}") from error
-
-
-def _twice(names: Sequence[str]) -> str:
-    return next((name for i, name in enumerate(names) if name in names[:i]), "")
-
-
-def _flat(path: Path, table: pa.Table) -> pa.Table:
-    """Structs and lists of one length as columns of their own, `NAME.ENTRY`.
-
-    Raises:
-        FormatError: if lists differ in length from row to row.
-    """
-    if not len(table):
-        return table
-    columns: dict[str, pa.Array] = {}
-    for item in table.schema:
-        columns |= _spread(path, item, table.column(item.name).combine_chunks())
-    labels: list[str] = []
-    for name in [each for each, column in columns.items() if _is_names(each, column.type)]:
-        labels = _labels(path, name, columns.pop(name))
-    found: dict[str, pa.Array] = {}
-    for name, column in columns.items():
-        found |= _listed(path, name, column, labels, table.schema)
-    return pa.table(found)
-
-
-def _is_names(name: str, kind: pa.DataType) -> bool:
-    """Whether a column holds, row by row, the names of the joints in the others."""
-    return name.split(".")[-1] in NAMES and bool(
-        is_list(kind) and pa.types.is_string(kind.value_type)
-    )
-
-
-def _spread(path: Path, item: pa.Field, column: pa.Array) -> dict[str, pa.Array]:
-    """A column; of a struct, and of lists of structs, one for each of its fields."""
-    kind = item.type
-    if pa.types.is_struct(kind):
-        parts = zip(kind, column.flatten(), strict=True)
-    elif pa.types.is_list(kind) and pa.types.is_struct(kind.value_type):
-        values = column.values
-        parts = zip(
-            kind.value_type,
-            (pa.ListArray.from_arrays(column.offsets, each) for each in values.flatten()),
-            strict=True,
-        )
-    else:
-        return {item.name: column}
-    found: dict[str, pa.Array] = {}
-    for inner, values in parts:
-        found |= _spread(path, pa.field(f"{item.name}.{inner.name}", values.type), values)
-    return found
-
-
-def _listed(
-    path: Path, name: str, column: pa.Array, labels: Sequence[str], schema: pa.Schema
-) -> dict[str, pa.Array]:
-    kind = column.type
-    if not is_list(kind) or not is_number(kind.value_type):
-        return {name: column}
-    width, values = _even(path, name, column)
-    place = schema.get_field_index(name)
-    about = ((schema.field(place).metadata or {}) if place >= 0 else {}).get(b"names", b"")
-    own = json.loads(about) if about else labels
-    own = own if len(own) == width else [str(i) for i in range(width)]
-    return {
-        f"{name}.{own[i]}": values.take(pa.array(range(i, len(values), width)))
-        for i in range(width)
-    }
-
-
-def _even(path: Path, name: str, column: pa.Array) -> tuple[int, pa.Array]:
-    """Length of every list of a column, and all their entries one after the other."""
-    if column.null_count:
-        row = int(np.flatnonzero(np.asarray(column.is_null()))[0])
-        raise FormatError(f"{path}: column '{name}', row {row}: expected a list, got nothing")
-    lengths = np.asarray(pc.list_value_length(column))
-    other = np.flatnonzero(lengths != lengths[0])
-    if len(other):
-        raise FormatError(
-            f"{path}: column '{name}', row {other[0]}: expected {lengths[0]} numbers as in row 0, got {lengths[other[0]]}"
-        )
-    return int(lengths[0]), column.flatten()
-
-
-def _labels(path: Path, name: str, column: pa.Array) -> list[str]:
-    rows = column.to_pylist()
-    other = next((i for i, row in enumerate(rows) if row != rows[0]), None)
-    if other is not None:
-        raise FormatError(
-            f"{path}: column '{name}', row {other}: expected the joints of row 0 in their order, got others"
-        )
-    return list(rows[0] or ())
 
 
 def _stamped(table: pa.Table) -> pa.Table:
@@ -224,7 +114,8 @@ def _clock(path: Path, table: pa.Table, clock: str, rate: float) -> tuple[str, s
         return temporal[0], ""
     if not found:
         raise ConfigError(
-            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are {', '.join(table.column_names)}"
+            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are "
+            f"{', '.join(table.column_names)}"
         )
     return found, ""
 
@@ -281,7 +172,8 @@ def _require_radians(path: Path, schema: pa.Schema, chosen: Sequence[str], degre
         marked = _DEGREES.search(name) or _DEGREES_FIRST.search(name) or _DEGREES.search(" " + unit)
         if marked and not degrees:
             raise FormatError(
-                f"{path}: column '{name}': expected radians, its name says degrees; pass --degrees to turn them"
+                f"{path}: column '{name}': expected radians, its name says degrees; pass "
+                "--degrees to turn them"
             )
 
 
@@ -291,18 +183,6 @@ def _joint(name: str) -> str:
     for beginning in POSITIONS:
         bare = bare.removeprefix(beginning)
     return bare.split(".position.")[-1] or name
-
-
-def is_number(kind: pa.DataType) -> bool:
-    """Whether a column of this type may hold positions."""
-    return bool(
-        pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind)
-    )
-
-
-def is_list(kind: pa.DataType) -> bool:
-    """Whether every entry of a column is a list."""
-    return bool(pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind))
 
 
 def _numbers(path: Path, table: pa.Table, name: str) -> Array:
@@ -340,7 +220,8 @@ def _episodes(path: Path, table: pa.Table) -> Iterator[tuple[str, int, int]]:
     for first, stop in itertools.pairwise(edges):
         if numbers[first] in seen:
             raise FormatError(
-                f"{path}: column '{cut}', row {first}: {numbers[first]} comes again after others; sort the rows by it first"
+                f"{path}: column '{cut}', row {first}: {numbers[first]} comes again after others; "
+                "sort the rows by it first"
             )
         seen.add(numbers[first])
         yield f"{cut} {numbers[first]}", first, stop
