@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from coordlog.episode import Json
 from coordlog.record.opening import summary_start
-from coordlog.record.records import TAIL_SIZE, walk
+from coordlog.record.records import TAIL_SIZE, unpack_definitions, walk
 
 VERSION = 9
 
