@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,6 @@ from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-    from coordlog.catalog.rows import Job
     from coordlog.episode import Json
     from coordlog.record.cache import Logs
     from coordlog.train.columns import Columns
@@ -46,24 +45,17 @@ def listed(
     """
     import pyarrow as pa
 
-    from coordlog.catalog.gather import gather
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
     from coordlog.record.files import find_files, nothing_found
     from coordlog.record.recording import Recording
 
-    def run(function: Callable[[Job], Rows], work: Sequence[Job]) -> Iterator[Rows]:
-        total = sum(len(job.entries) for job in work)
-        with monitor.progress("describing new episodes", total) as progress:
-            for rows in mapped(function, work, jobs=jobs):
-                progress.advance(len(rows))
-                yield rows
-
-    found = gather(paths, run=run)
-    for one in found.skipped:
+    found = gathered(paths, jobs=jobs, monitor=monitor, tell=False)
+    for path, reason in found.skipped:
         if not skip_broken:
-            raise FormatError(f"{one.reason}; --skip-broken learns from the others")
-        monitor.note(f"skipped: {one.reason}")
+            raise FormatError(f"{path}: {reason}; --skip-broken learns from the others")
+        monitor.note(f"skipped: {path}: {reason}")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows) and where:
         raise ConfigError(f"--where: no episode satisfies: {where}")

@@ -41,7 +41,9 @@ def migrate(
         coordlog migrate logs/ --out migrated/
     """
     from coordlog.record.files import find_files
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     pairs = [
         (name, out / (name.relative_to(root) if root.is_dir() else name.name))
         for root in path

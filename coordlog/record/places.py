@@ -183,6 +183,6 @@ def require_folder(path: str | os.PathLike[str], option: str = "--out") -> None:
     """
     if is_url(path):
         raise ConfigError(
-            f"{option}: expected a folder of this machine, got {os.fspath(path)}; only `coordlog"
+            f"{option}: expected a folder of this machine, got {'://'.join(split_url(path))}; only `coordlog"
             " record` writes into an object store"
         )
