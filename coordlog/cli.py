@@ -48,7 +48,10 @@ DEBUG = "COORDLOG_DEBUG"
 
 app = typer.Typer(
     name="coordlog",
-    help="Robot episodes that are never lost, never silently wrong, and always replayable: record, check, train, smooth, view.",
+    help=(
+        "Robot episodes that are never lost, never silently wrong, and always replayable: record, "
+        "check, train, smooth, view."
+    ),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from coordlog.errors import ConfigError, FormatError, SpecError
 from coordlog.monitor import Monitor
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from coordlog.train.columns import Columns
     from coordlog.train.stream import Group, Stream
 
-Rows = list[dict[str, Any]]
 
 _EPISODES = """
     select digest, path as file, scene, length from episodes where length > 0 order by digest, path
@@ -34,7 +33,7 @@ def listed(
     where: str = "",
     skip_broken: bool = False,
     jobs: int | str = 0,
-    monitor: Monitor,
+    monitor: Monitor | None = None,
 ) -> Logs:
     """The episodes that satisfy a condition, by their catalogues: which there are, and no steps.
 
@@ -51,11 +50,10 @@ def listed(
     from coordlog.record.files import find_files, nothing_found
     from coordlog.record.recording import Recording
 
-    found = gathered(paths, jobs=jobs, monitor=monitor, tell=False)
-    for path, reason in found.skipped:
-        if not skip_broken:
-            raise FormatError(f"{path}: {reason}; --skip-broken learns from the others")
-        monitor.note(f"skipped: {path}: {reason}")
+    found = gathered(paths, jobs=jobs, monitor=monitor, tell=skip_broken)
+    if found.skipped and not skip_broken:
+        path, reason = found.skipped[0]
+        raise FormatError(f"{path}: {reason}; --skip-broken learns from the others")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows) and where:
         raise ConfigError(f"--where: no episode satisfies: {where}")
