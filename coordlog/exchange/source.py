@@ -82,7 +82,7 @@ class Entry:
 
 @lru_cache(maxsize=64)
 def _shared(text: str) -> Json:
-    """A record that most episodes of a run have in common, once: of many, it is most of a header."""
+    """A record that most episodes of a run have in common, once: it is most of a header."""
     record: Json = json.loads(text)
     return record
 
