@@ -35,7 +35,9 @@ class Batch(NamedTuple):
     action: Tensor  # (B, n_u) executed, in [-1, 1]
     reward: Tensor  # (B, k) of one step, or discounted of several
     next_state: Tensor  # (B, n_x) after them
-    discount: Tensor  # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an end
+    # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an
+    # end
+    discount: Tensor
     imitated: Tensor  # (B, 1) weight of the behaviour term
     wanted: Tensor  # (B, n_u) action that it pulls towards
 
@@ -334,7 +336,8 @@ class Learner:
                 got = tuple(found[key].shape) if key in found else None
                 if got != tuple(value.shape):
                     raise SpecError(
-                        f"{name}.{key}: expected shape {tuple(value.shape)}, got {got}; this state is of another layout or network"
+                        f"{name}.{key}: expected shape {tuple(value.shape)}, got {got}; this state "
+                        "is of another layout or network"
                     )
             module.load_state_dict(found)
         for name in OPTIMISERS:
