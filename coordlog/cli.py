@@ -28,6 +28,7 @@ from coordlog.commands import (
     robot,
     scenes,
     select,
+    serve,
     smooth,
     terminal,
     train,
@@ -47,7 +48,10 @@ DEBUG = "COORDLOG_DEBUG"
 
 app = typer.Typer(
     name="coordlog",
-    help="Robot episodes that are never lost, never silently wrong, and always replayable: record, check, train, smooth, view.",
+    help=(
+        "Robot episodes that are never lost, never silently wrong, and always replayable: record, "
+        "check, train, smooth, view."
+    ),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -67,6 +71,7 @@ app.command("export")(export.export)
 app.command("index")(index.index)
 app.command("query")(query.query)
 app.command("select")(select.select)
+app.command("serve")(serve.serve)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)

@@ -78,10 +78,10 @@ def mapped(
     Args:
         function: A module-level function: it is sent to fresh processes. On a cluster it may be
             called twice with an item, where a process died: what it writes must be the same.
-        items: What to call it with. Without a length, such as of a generator that need not end, they
-            are worked on a little ahead of what is asked for, and never right here.
-        jobs: Processes, 0 for one per core; or a cluster, see `workers`. Of items that have a length
-            a single one, or a single process, runs right here.
+        items: What to call it with. Without a length, such as of a generator that need not end,
+            they are worked on a little ahead of what is asked for, and never right here.
+        jobs: Processes, 0 for one per core; or a cluster, see `workers`. Of items that have a
+            length a single one, or a single process, runs right here.
 
     Raises:
         ConfigError: if `jobs` is none, or the cluster cannot be reached.
@@ -211,7 +211,8 @@ def cluster(address: str) -> Iterator[Any]:
             ray.init(address, **quiet)
     except Exception as error:  # noqa: BLE001 - Ray raises whatever its transport does
         raise ConfigError(
-            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head needs"
+            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head "
+            "needs"
             f" Ray {ray.__version__}, as here, and the same Python"
         ) from None
     try:

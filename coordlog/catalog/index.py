@@ -1,9 +1,10 @@
-"""A catalogue: a row per episode, kept in Parquet files beside the logs, never trusted against them.
+"""A catalogue: a row per episode, kept in Parquet files beside the logs, never trusted against
+them.
 
 The files of a catalogue lie in `.catalog/` of what they describe. Each is written once, whole, and
 named by a number; a later one has the word about a path. Size and mtime of every file decide
-whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged or
-of another edition is described anew. Deleting a catalogue costs only time.
+whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged
+or of another edition is described anew. Deleting a catalogue costs only time.
 """
 
 from __future__ import annotations

@@ -53,7 +53,8 @@ def record_environment(
             raise
         except Exception as error:  # environment and policy are the user's
             raise ConfigError(
-                f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: {error}"
+                f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: "
+                f"{error}"
             ) from error
     seconds = time.perf_counter() - began
     catalogued(out, recorder.files)
@@ -96,5 +97,6 @@ def _make(name: str) -> Any:
             return gymnasium.make(name)
         except Exception as error:  # whatever the environment's own package raises
             raise ConfigError(
-                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: {str(error).splitlines()[0]}"
+                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: "
+                f"{str(error).splitlines()[0]}"
             ) from error

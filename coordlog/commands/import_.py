@@ -23,7 +23,10 @@ def import_(
     source: Annotated[
         list[Path],
         typer.Argument(
-            help="ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, .parquet, .csv."
+            help=(
+                "ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, "
+                ".parquet, .csv."
+            )
         ),
     ],
     out: Annotated[

@@ -34,8 +34,9 @@ def pack(
 ) -> None:
     """Put whole episode files into large tar archives that every command reads like a folder.
 
-    Files are not changed, and stay where they are. What the pack has already is not packed again, so
-    the same command goes on where it stopped. Exit code 3 if files could not be used; each is named.
+    Files are not changed, and stay where they are. What the pack has already is not packed again,
+    so the same command goes on where it stopped. Exit code 3 if files could not be used; each is
+    named.
 
     Examples:
 

@@ -70,7 +70,9 @@ Envs = Annotated[
     int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")
 ]
 Threads = Annotated[int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")]
-Config = Annotated[Path | None, typer.Option(help="TOML file with tables [env] and [reward].")]
+Config = Annotated[
+    Path | None, typer.Option(help="TOML file with tables [env], [reward], [policy], [damper].")
+]
 Epoch = Annotated[
     int | None,
     typer.Option(min=0, help="Start time [ns since 1970]; equal runs then write equal bytes."),

@@ -1,8 +1,8 @@
 """Cameras after the fact: images of an episode from its log alone.
 
 The episode is simulated again from its first state and its actions. Only where every position and
-velocity comes back bit for bit is it rendered: what a camera shows is what the log proves. Without a
-display, through EGL or OSMesa.
+velocity comes back bit for bit is it rendered: what a camera shows is what the log proves. Without
+a display, through EGL or OSMesa.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class Canvas:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             raise SimulationError(
-                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and libgl1-mesa-dri) or set MUJOCO_GL"
+                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and "
+                "libgl1-mesa-dri) or set MUJOCO_GL"
             ) from error
 
     def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> Array:
@@ -120,7 +121,8 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
     reason = exact_here(episode.header)
     if reason:
         raise FormatError(
-            f"{loaded.path}: {reason}: images are rendered only of states that are proven; use that MuJoCo, or leave --camera away"
+            f"{loaded.path}: {reason}: images are rendered only of states that are proven; use "
+            "that MuJoCo, or leave --camera away"
         )
     trace = replay([Log.of(episode, model, start)])[0]
     for name in ("qpos", "qvel"):
@@ -128,7 +130,8 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
         different = np.flatnonzero((logged.view(np.uint64) != again.view(np.uint64)).any(axis=1))
         if len(different):
             raise FormatError(
-                f"{loaded.path}: step {different[0]}: {name} simulated again differs from the log; `coordlog check` says more"
+                f"{loaded.path}: step {different[0]}: {name} simulated again differs from the log; "
+                "`coordlog check` says more"
             )
 
 
@@ -150,7 +153,8 @@ def view_of(camera: str, model: mujoco.MjModel) -> mujoco.MjvCamera:
         if known:
             raise unknown("camera", camera, known)
         raise ConfigError(
-            f"unknown camera '{camera}': the model has none; place one with --camera \"pos=1.5,-1,1.2 lookat=0,0,0.8\""
+            f"unknown camera '{camera}': the model has none; place one with --camera "
+            '"pos=1.5,-1,1.2 lookat=0,0,0.8"'
         )
     try:
         place, target = (np.array(found[key].split(","), float) for key in ("pos", "lookat"))

@@ -1,7 +1,7 @@
 """The serialized messages of one topic of a ROS 2 bag, as bytes side by side.
 
-Messages of one length become the rows of one array: an MCAP chunk is cut by its message indexes in a
-few NumPy calls, instead of a Python call per message.
+Messages of one length become the rows of one array: an MCAP chunk is cut by its message indexes in
+a few NumPy calls, instead of a Python call per message.
 
 Source: MCAP specification, mcap.dev/spec; rosbag2_storage_sqlite3.
 """

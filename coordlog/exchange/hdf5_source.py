@@ -48,12 +48,14 @@ def motions(
             )
             if not episodes:
                 raise FormatError(
-                    f"{file_path}: expected robomimic's data/demo_i or Minari's episode_i, got {', '.join(list(file)[:8]) or 'nothing'}"
+                    f"{file_path}: expected robomimic's data/demo_i or Minari's episode_i, got "
+                    f"{', '.join(list(file)[:8]) or 'nothing'}"
                 )
             hertz = rate or _rate(group)
             if not hertz:
                 raise ConfigError(
-                    f"{file_path}: the file does not say how many samples a second; name it with --rate"
+                    f"{file_path}: the file does not say how many samples a second; name it with "
+                    "--rate"
                 )
             kind = "robomimic" if robomimic else "minari"
             keys = ROBOMIMIC_KEYS if robomimic else MINARI_KEYS
@@ -101,7 +103,8 @@ def _motion(
     if not isinstance(item, h5py.Dataset) or item.ndim != 2 or item.dtype.kind != "f":
         had = ", ".join(_matrices(episode))
         raise ConfigError(
-            f"{path}: {name}: expected joint positions in '{key or keys[0]}'; choose one with --state: {had or 'there is none'}"
+            f"{path}: {name}: expected joint positions in '{key or keys[0]}'; choose one with "
+            f"--state: {had or 'there is none'}"
         )
     position = np.asarray(item[()], np.float64)
     notes: tuple[str, ...] = (f"stamps are the row number over {rate:g} Hz",)

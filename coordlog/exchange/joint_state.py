@@ -61,7 +61,8 @@ def decode(frames: Frames, where: str) -> JointStates:
             columns = _columns(part, end, f"{where}: message {at[0]}")
             if columns[0].shape[1] != len(own):
                 raise FormatError(
-                    f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
+                    f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, "
+                    f"got {columns[0].shape[1]}"
                 )
             to = _places_among(own, names, order, f"{where}: message {at[0]}")
             position[at[:, None], to] = columns[0]
@@ -146,7 +147,8 @@ def _places_among(own: tuple[str, ...], names: tuple[str, ...], order: Array, wh
 
 def _refuse(others: set[str], where: str) -> None:
     raise FormatError(
-        f"{where}: expected the joints of the first message, got others: {', '.join(sorted(others))}; several publishers share the topic"
+        f"{where}: expected the joints of the first message, got others: "
+        f"{', '.join(sorted(others))}; several publishers share the topic"
     )
 
 

@@ -126,7 +126,8 @@ def require_known(motion: Motion, joints: Mapping[str, Joint]) -> None:
         said = "; ".join(f"{name}{_nearest(name, list(joints))}" for name in lost[:8])
         more = f" and {len(lost) - 8} more" if len(lost) > 8 else ""
         raise FormatError(
-            f"{motion}: {len(lost)} of {len(motion.names)} joints are none of the model: {said}{more}; name them in --joints MAP.toml"
+            f"{motion}: {len(lost)} of {len(motion.names)} joints are none of the model: "
+            f"{said}{more}; name them in --joints MAP.toml"
         )
 
 
@@ -163,10 +164,12 @@ def doubts(motion: Motion, joints: Mapping[str, Joint]) -> list[str]:
     if large and fits and (len(outside) > len(angles) / 2 or joints == {}):
         worst = max(large, key=lambda i: reach[i])
         return [
-            f"{motion.names[worst]} reaches {reach[worst]:.4g}: degrees are suspected; --degrees turns them into radians"
+            f"{motion.names[worst]} reaches {reach[worst]:.4g}: degrees are suspected; --degrees "
+            "turns them into radians"
         ]
     return [
-        f"{motion.names[i]} goes from {low[i]:.4g} to {high[i]:.4g}, outside the model's {known[i].low:.4g} to {known[i].high:.4g}"  # type: ignore[union-attr]
+        f"{motion.names[i]} goes from {low[i]:.4g} to {high[i]:.4g}, "
+        f"outside the model's {known[i].low:.4g} to {known[i].high:.4g}"  # type: ignore[union-attr]
         for i in outside
     ]
 

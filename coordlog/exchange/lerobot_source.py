@@ -108,7 +108,8 @@ def joint_names(path: Path, info: Json, key: str) -> tuple[str, ...]:
     ]
     if feature is None or key not in vectors:
         raise ConfigError(
-            f"{path}: expected joint positions in '{key}', got no such feature; choose one with --state: {', '.join(vectors)}"
+            f"{path}: expected joint positions in '{key}', got no such feature; choose one with "
+            f"--state: {', '.join(vectors)}"
         )
     names = _names(feature)
     return names or tuple(f"{key}_{i}" for i in range(feature["shape"][0]))
@@ -125,7 +126,8 @@ def episodes(path: Path, info: Json) -> Iterator[Rows]:
     for rows in found:
         if rows.episode != count:
             raise FormatError(
-                f"{path}: expected episode {count}, got {rows.episode}: the set has a gap, and every later episode would be taken for another; mend it with LeRobot's own tools"
+                f"{path}: expected episode {count}, got {rows.episode}: the set has a gap, and "
+                "every later episode would be taken for another; mend it with LeRobot's own tools"
             )
         count += 1
         yield rows
@@ -243,7 +245,8 @@ def _table(file: Path, columns: Sequence[str]) -> pa.Table:
         return pq.read_table(file, columns=[*columns, *indexes])
     except FileNotFoundError as error:
         raise FormatError(
-            f"{file}: missing, though the set's metadata names it; download the whole set first, nothing is fetched from here"
+            f"{file}: missing, though the set's metadata names it; download the whole set first, "
+            "nothing is fetched from here"
         ) from error
     except (pa.ArrowException, OSError, KeyError) as error:
         raise FormatError(f"{file}: {str(error).splitlines()[0]}") from error

@@ -61,7 +61,8 @@ def motions(
                 known = known or own
                 if sorted(own) != sorted(known) or len(numbers) != len(own):
                     raise FormatError(
-                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of {', '.join(own)}"
+                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of "
+                        f"{', '.join(own)}"
                     )
                 found = dict(zip(own, numbers, strict=True))
                 rows.append([float(found[name]) for name in known])

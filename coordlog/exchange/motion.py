@@ -147,14 +147,18 @@ def require_usable(motion: Motion) -> None:
     if len(bad):
         row, joint = bad[0].tolist()
         raise FormatError(
-            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got {motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} samples are unusable: mend the source first"
+            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got "
+            f"{motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} "
+            "samples are unusable: mend the source first"
         )
     back = motion.timing.backwards
     if back:
         at = back[0]
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
-            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s ({motion.clock or 'its clock'}); --stamps chooses another clock, --split-clock begins an episode there"
+            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "
+            f"({motion.clock or 'its clock'}); --stamps chooses another clock, --split-clock "
+            "begins an episode there"
         )
 
 

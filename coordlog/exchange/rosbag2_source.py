@@ -110,7 +110,8 @@ def chosen(bag: Any, path: Path, topic: str) -> Connection:
             raise ConfigError(f"{path}: no joint motion on '{topic}'; it has {had or 'no topics'}")
     if not usable:
         raise FormatError(
-            f"{path}: expected {', '.join(KINDS)}, got {had or 'no topics'}: there is no joint motion to import"
+            f"{path}: expected {', '.join(KINDS)}, got {had or 'no topics'}: there is no joint "
+            "motion to import"
         )
     first = min(KINDS.index(item.msgtype) for item in usable)
     best = [item for item in usable if item.msgtype == KINDS[first]]
@@ -153,7 +154,8 @@ def _files(bag: Any, path: Path) -> list[Path]:
     reader = bag.readers[0]
     if reader.compression_mode == "message":
         raise FormatError(
-            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
+            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag "
+            "convert` the bag without compression_mode first"
         )
     return [Path(storage.path) for storage in reader.storage.storages]
 

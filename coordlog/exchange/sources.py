@@ -69,7 +69,8 @@ def kind_of(path: Path) -> str:
             if (path / marker).is_file():
                 return kind
         raise FormatError(
-            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) or data/metadata.json (Minari), got none of them"
+            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
+            "or data/metadata.json (Minari), got none of them"
         )
     if not path.is_file():
         raise FormatError(f"{path}: expected a file or a folder, got a pipe, a socket or a device")
@@ -87,7 +88,8 @@ def kind_of(path: Path) -> str:
         return "rosbag2" if is_ros2(path) else "mcap"
     if path.suffix not in suffixes:
         raise FormatError(
-            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data set, got '{path.suffix}'"
+            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data "
+            f"set, got '{path.suffix}'"
         )
     return suffixes[path.suffix]
 

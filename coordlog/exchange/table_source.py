@@ -60,7 +60,8 @@ def motions(
     marked = [name for name in chosen if _DEGREES.search(name)]
     if marked and not degrees:
         raise FormatError(
-            f"{path}: column '{marked[0]}': expected radians, its name says degrees; pass --degrees to turn them"
+            f"{path}: column '{marked[0]}': expected radians, its name says degrees; pass "
+            "--degrees to turn them"
         )
     position = np.stack([_numbers(path, table, name) for name in chosen], axis=1)
     stamps = _stamps(path, table, named, rate)
@@ -100,7 +101,8 @@ def _csv(path: Path) -> pa.Table:
         line = data.count(b"\n", 0, found.start(0) + 1) + 1
         text = found.group(0).strip(b';\t"\r\n').decode()
         raise FormatError(
-            f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it with points"
+            f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it "
+            "with points"
         )
     try:
         return pc.read_csv(
@@ -147,7 +149,8 @@ def _clock(path: Path, table: pa.Table, clock: str, rate: float) -> str:
     found = clock or next((lower[name] for name in CLOCKS if name in lower), "")
     if not found:
         raise ConfigError(
-            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are {', '.join(table.column_names)}"
+            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are "
+            f"{', '.join(table.column_names)}"
         )
     return found
 
@@ -168,7 +171,8 @@ def _positions(
     text = [name for name in free if pa.types.is_string(table.column(name).type)]
     if text and not of_qpos:
         raise FormatError(
-            f"{path}: column '{text[0]}': expected numbers, got text such as '{table.column(text[0])[0]}'; choose columns with --columns"
+            f"{path}: column '{text[0]}': expected numbers, got text such as "
+            f"'{table.column(text[0])[0]}'; choose columns with --columns"
         )
     found = of_qpos or [name for name in free if _is_number(table.column(name).type)]
     if not found:

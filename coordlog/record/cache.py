@@ -68,8 +68,8 @@ class Logs:
     steps: pa.Table
     """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
-    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record as
-    JSON), state (final), length, digest, file. The catalogue says the rest."""
+    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record
+    as JSON), state (final), length, digest, file. The catalogue says the rest."""
     skipped: tuple[Skipped, ...]
     notes: tuple[str, ...] = ()
     """What is worth knowing about how they were read."""
@@ -134,7 +134,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
             first = next(iter(skipped.values()), None)
             why = f"; {first.path}: {first.reason}" if first else ""
             raise SpecError(
-                f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
+                "no logs: expected at least one finished episode to learn from, got none in "
+                f"{len(paths)} files{why}"
             )
         logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
     files = pa.array([str(path) for path in here])
@@ -277,7 +278,8 @@ def _gathered(
             {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
         )
         raise SpecError(
-            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one state layout at a time"
+            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one "
+            "state layout at a time"
         )
     return Logs(
         pa.concat_tables([part.steps for part in parts]),

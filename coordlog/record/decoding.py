@@ -184,7 +184,8 @@ def require_order(steps: Array, finals: Array, lengths: Array) -> None:
     total = int(lengths.sum())
     if len(finals) != len(lengths) or (finals != lengths).any() or len(steps) != total:
         raise FormatError(
-            f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and final states {finals.tolist()}"
+            f"expected {lengths.tolist()} steps and a final state, got {len(steps)} steps and "
+            f"final states {finals.tolist()}"
         )
     wanted = np.arange(total) - np.repeat(np.cumsum(lengths) - lengths, lengths)
     if (steps != wanted).any():

@@ -163,14 +163,16 @@ class EpisodeLog:
         wanted = [name for name in self._like if name.startswith("info_")]
         if missing := [name for name in wanted if name not in said]:
             raise SpecError(
-                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} is missing"
+                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} "
+                "is missing"
             )
         row |= {name: said[name].astype(self._like[name][0]) for name in wanted}
         for values in (row, seen):
             for name, value in values.items():
                 if value.shape != self._like.get(name, (None, None))[1]:
                     raise SpecError(
-                        f"{name}: expected {_count(self._like.get(name))} as before, got {value.size}"
+                        f"{name}: expected {_count(self._like.get(name))} as before, got "
+                        f"{value.size}"
                     )
                 if value.dtype.kind == "f" and not np.isfinite(value).all():
                     raise SpecError(f"{name}: expected numbers, got NaN or infinity")
@@ -379,7 +381,8 @@ def attachments_of(model: mujoco.MjModel, source: Path | str | None = None) -> d
     attached = text_of(model, source)
     if not attached:
         raise ConfigError(
-            "the text that the model was compiled from is not known, or compiles to other physics: give it as `source`, a path or MJCF text"
+            "the text that the model was compiled from is not known, or compiles to other physics: "
+            "give it as `source`, a path or MJCF text"
         )
     return attached
 
@@ -402,7 +405,8 @@ def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
         if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
             return model, data
     raise ConfigError(
-        f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` (or `physics`, or `sim`), found neither"
+        f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` "
+        "(or `physics`, or `sim`), found neither"
     )
 
 

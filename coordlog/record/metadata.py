@@ -58,7 +58,8 @@ def _encode_value(key: str, value: Any) -> str:
         return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
     except (TypeError, ValueError) as error:
         raise SpecError(
-            f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: {error}"
+            f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: "
+            f"{error}"
         ) from None
 
 

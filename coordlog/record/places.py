@@ -41,7 +41,7 @@ class Place(Protocol):
     address: str
 
     def entries(self, below: str = "") -> list[Entry]:
-        """Files that lie directly in a folder of it, by name; none where there is no such folder."""
+        """Files that lie directly in a folder of it, by name; none where there is no such one."""
 
     def entry(self, name: str) -> Entry | None:
         """One file; None if there is none."""

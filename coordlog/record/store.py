@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -83,9 +84,9 @@ class LocalStore(Store):
         Raises:
             StorageError: if there is no such folder.
         """
-        return self.entries(find_files(self.folder))
+        return [*self.entries(find_files(self.folder))]
 
-    def entries(self, files: Files) -> list[Entry]:
+    def entries(self, files: Files) -> Sequence[Entry]:
         """What a walk over the folder found, as entries."""
         start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
         names = map(os.fspath, files.paths)

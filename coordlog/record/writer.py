@@ -276,7 +276,8 @@ def _validate_contacts(contacts: Array, first: int, stop: int) -> None:
     steps = contacts["step"]
     if len(steps) and (steps[0] < first or steps[-1] >= stop or (np.diff(steps) < 0).any()):
         raise SpecError(
-            f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to {steps.max()}"
+            f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to "
+            f"{steps.max()}"
         )
 
 

@@ -102,14 +102,17 @@ def _arms(
     if missing:
         sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
         raise ConfigError(
-            f"robot '{name}': expected a site or a body called '{missing[0]}' as a palm, found none; "
-            f"it has the sites {', '.join(sites) or '(none)'} and the bodies {', '.join(_bodies(model))}"
+            f"robot '{name}': expected a site or a body called '{missing[0]}' as a palm, found "
+            "none; "
+            f"it has the sites {', '.join(sites) or '(none)'} and the bodies "
+            f"{', '.join(_bodies(model))}"
         )
     chains = [chain(model, bearer(model, palm)) for palm in palms]
     for palm, joints in zip(palms, chains, strict=True):
         if not joints:
             raise ConfigError(
-                f"robot '{name}': its palm '{palm}' is moved by no hinge or slide: expected one at an arm's end"
+                f"robot '{name}': its palm '{palm}' is moved by no hinge or slide: expected one at "
+                "an arm's end"
             )
     shared = [j for j in chains[0] if all(j in other for other in chains)] if len(palms) > 1 else []
     arms = []
@@ -144,7 +147,8 @@ def _guess(model: mujoco.MjModel, notes: list[str]) -> list[str]:
             arms.append(end)
     if not arms:
         raise ConfigError(
-            f"no arm found in the model: name its palms, sites or bodies, with --palm; its bodies are {', '.join(_bodies(model))}"
+            "no arm found in the model: name its palms, sites or bodies, with --palm; its bodies "
+            f"are {', '.join(_bodies(model))}"
         )
     found = [_site(model, end) for end in arms]
     notes.append(f"palms guessed: {', '.join(found)}; name others with --palm")
@@ -327,7 +331,8 @@ def _gains(
         )
         gains[model.joint(joint).name] = (float(f"{kp:.3g}"), float(f"{kv:.3g}"))
     notes.append(
-        f"{len(gains)} joints have a motor or no actuator and get position servos with guessed gains: see [servo_gains]"
+        f"{len(gains)} joints have a motor or no actuator and get position servos with guessed "
+        "gains: see [servo_gains]"
     )
     return gains
 

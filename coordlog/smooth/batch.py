@@ -62,7 +62,8 @@ def smooth_logs(
     processes: int | str = 0,
     monitor: Monitor | None = None,
 ) -> Json:
-    """Smooth every episode of some logs, in the order of their names, and report (`report.summary`).
+    """Smooth every episode of some logs, in the order of their names, and report
+    (`report.summary`).
 
     Args:
         paths: Episode files, or folders that are searched at any depth.
@@ -80,7 +81,7 @@ def smooth_logs(
     batch = plan(paths, out, settings, write=write, force=force)
     batch = batch._replace(jobs=list(shard(batch.jobs, share)))
     began = time.perf_counter()
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
     rows: list[Json] = []
     with heard.progress("smoothing", len(batch.jobs)) as progress:
         for row in mapped(smooth_file, batch.jobs, jobs=processes):

@@ -1,9 +1,9 @@
 """Logs that are learnt from without being held in memory: episodes pass, in an order of chance,
 through a window of transitions.
 
-The order is drawn from the seed alone, anew for each pass over the episodes, and how far it has come
-follows from the number of updates. So batches do not depend on who reads or how fast, and a resumed
-run reads again what its window held.
+The order is drawn from the seed alone, anew for each pass over the episodes, and how far it has
+come follows from the number of updates. So batches do not depend on who reads or how fast, and a
+resumed run reads again what its window held.
 """
 
 from __future__ import annotations

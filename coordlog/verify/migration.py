@@ -1,8 +1,8 @@
 """Episodes of an older schema version as new files of the present one; the old files stay.
 
-What the new version logs besides (`ctrl`, `torque`) is simulated again from the file alone, and only
-taken if everything that was logged comes back bit for bit. Where it does not the episode is written
-with what it had, and that is said.
+What the new version logs besides (`ctrl`, `torque`) is simulated again from the file alone, and
+only taken if everything that was logged comes back bit for bit. Where it does not the episode is
+written with what it had, and that is said.
 """
 
 from __future__ import annotations
