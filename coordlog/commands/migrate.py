@@ -36,8 +36,8 @@ def migrate(
     """Write episodes of an older schema version as new files of the present one.
 
     What the present version logs besides is simulated again where that is exact, and left out
-    where it is not. Old files are never changed: the new ones name them in their lineage. What is of
-    the present version, or was migrated before, is left alone. Exit code 3 if some could not be
+    where it is not. Old files are never changed: the new ones name them in their lineage. What is
+    of the present version, or was migrated before, is left alone. Exit code 3 if some could not be
     migrated, each is named; 2 if none could.
 
     Examples:

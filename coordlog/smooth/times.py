@@ -125,8 +125,8 @@ def _require_resolution(time: Floats) -> None:
     if largest > _NEVER or not _INSTANT < typical < _A_DAY:
         raise SpecError(
             f"time: samples are {typical:.3g} apart, the largest is {largest:.3g}, which cannot be "
-            "seconds; if these are nanoseconds, pass time * 1e-9 or time.astype('timedelta64[ns]'), "
-            "milliseconds, time * 1e-3"
+            "seconds; if these are nanoseconds, pass time * 1e-9 or "
+            "time.astype('timedelta64[ns]'), milliseconds, time * 1e-3"
         )
     narrow = time.astype(np.float32)
     step = float(np.spacing(np.abs(narrow).max()))
