@@ -27,9 +27,9 @@ def recorded(out: Path, policy: str, **tables: dict[str, object]) -> coordlog.Ep
 
 def test_constants_are_settable_and_logged(tmp_path: Path) -> None:
     plainly = recorded(tmp_path / "a", "expert")
-    slower = recorded(tmp_path / "b", "expert", policy={"gain_steps": 8.0})
+    slower = recorded(tmp_path / "b", "expert", policy={"gain_steps": 400.0})
     assert plainly.header.policy["constants"] == plain(ExpertConfig())
-    assert slower.header.policy["constants"] == plain(ExpertConfig(gain_steps=8.0))
+    assert slower.header.policy["constants"] == plain(ExpertConfig(gain_steps=400.0))
     assert np.abs(slower.action).max() < np.abs(plainly.action).max()
     wild = recorded(tmp_path / "c", "random", policy={"sigma": 0.1})
     assert wild.header.policy["constants"] == plain(RandomConfig(sigma=0.1))
