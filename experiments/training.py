@@ -11,8 +11,8 @@ from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS, surroundings
 
-SHORTEST = 1e-6
-"""A share so small that `loop.average` is an average over 1/τ updates, as runs kept at first."""
+KEPT = "    # as of then: the target actor was kept"
+"""What runs kept before there was `loop.average`."""
 
 
 def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
@@ -55,9 +55,7 @@ def command(run: dict[str, Any]) -> str:
             **replay,
             "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
         }
-    if "averaged" in loop:  # the target actor, whose average is the shortest there is, or the actor
-        averaged = settings["loop"].pop("averaged")
-        settings["loop"]["average"] = SHORTEST if averaged else 0.0
+    before = settings["loop"].pop("averaged", False)
     for section, values in settings.items():
         usual = PRESETS[preset].asdict()[section]
         words += [
@@ -67,7 +65,7 @@ def command(run: dict[str, Any]) -> str:
         ]
     for section, values in around(run["env"], preset=preset if mode == "live" else "").items():
         words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
-    return " ".join([*words, f"--seed {run['seed']}"])
+    return " ".join([*words, f"--seed {run['seed']}"]) + (KEPT if before else "")
 
 
 def around(env: dict[str, Any], *, preset: str = "") -> dict[str, dict[str, Any]]:

@@ -87,7 +87,7 @@ def record(
     if isinstance(what, str | Scene):
         given = {"scene": what, "policy": policy, "episodes": episodes, "seed": seed, **options}
         plan = _plan(RecordPlan, given)
-        return record_scene(plan, Path(out), monitor or Monitor()).files
+        return record_scene(plan, Path(out), Monitor() if monitor is None else monitor).files
     from coordlog.policies.foreign import as_act
     from coordlog.record.foreign import record_env
 
@@ -161,7 +161,7 @@ def train(
         "out": None if out is None else Path(out),
         **options,
     }
-    trained = training.train(_plan(TrainPlan, given), monitor or Monitor())
+    trained = training.train(_plan(TrainPlan, given), Monitor() if monitor is None else monitor)
     if trained.outcome.event is not None:
         event = trained.outcome.event
         raise ConfigError(f"{trained.folder}: the run diverged: {event.name}: {event.advice}")

@@ -45,7 +45,7 @@ def load_logs(
     files = chosen(paths, where, jobs=jobs, monitor=monitor) if where else find_files(paths)
     if not files.paths:
         raise nothing_found(paths, files, wanted="no logs: ")
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
 
     def run(
         build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]

@@ -42,7 +42,7 @@ def gathered(
     Raises:
         StorageError: if a path does not exist.
     """
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
 
     def run(
         function: Callable[[Job], list[dict[str, Any]]], work: Sequence[Job]

@@ -81,7 +81,7 @@ def smooth_logs(
     batch = plan(paths, out, settings, write=write, force=force)
     batch = batch._replace(jobs=list(shard(batch.jobs, share)))
     began = time.perf_counter()
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
     rows: list[Json] = []
     with heard.progress("smoothing", len(batch.jobs)) as progress:
         for row in mapped(smooth_file, batch.jobs, jobs=processes):

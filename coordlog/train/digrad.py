@@ -137,12 +137,10 @@ class Learner:
             tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
         )
         self._moments = _moments(targets, online)
-        self._average = average
-        self.average_actor = self.actor
-        self._networks: tuple[str, ...] = NETWORKS
+        self.average_actor, self._average = self.actor, average
+        self._networks = (*NETWORKS, "average_actor") if average > 0 else NETWORKS
         if average > 0:
             self.average_actor = copy.deepcopy(self.target_actor)
-            self._networks = (*NETWORKS, "average_actor")
             self._moments += _moments(self.average_actor, self.actor)
         dtype = self._online[0].dtype
         self._ascended = 1 if network.ascent == "first" else network.critics
@@ -302,8 +300,10 @@ class Learner:
         torch._foreach_lerp_(self._targets, self._online, self.config.tau)
         if self._average > 0:
             window = self._average * self.updates / self.config.actor_delay
-            kept, latest = tuple(self.average_actor.parameters()), tuple(self.actor.parameters())
-            torch._foreach_lerp_(kept, latest, min(self.config.tau, 1 / window))
+            average, actor = (
+                tuple[Tensor, ...](each.parameters()) for each in (self.average_actor, self.actor)
+            )
+            torch._foreach_lerp_(average, actor, min(1.0, 1 / window))
         for target, moment in self._moments:
             target.copy_(moment)
 

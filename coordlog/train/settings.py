@@ -47,10 +47,16 @@ class Settings:
 
 PRESETS: dict[str, Settings] = {
     "default": Settings(),
+    # From logs alone, in about a minute: ten steps of imitation for one of a critic, and rates that
+    # fall to a twentieth, since what is imitated is noisy.
+    "quick": Settings(
+        learner=LearnerConfig(actor_rate=2e-3),
+        behaviour=BehaviourConfig(final=20.0, extra=9),
+        loop=LoopConfig(updates=500, final_rate=0.05, evaluate_every=250),
+    ),
     # Live, from scratch, in any scene: actions that last long enough for a critic to see what they
-    # are worth, imitation that leaves room
-    # for what is learnt from values, and starts all over the place, so that the way around
-    # something is found from its end.
+    # are worth, imitation that leaves room for what is learnt from values, and starts all over the
+    # place, so that the way around something is found from its end.
     "live": Settings(
         network=NetworkConfig(ascent="mean"),
         behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),

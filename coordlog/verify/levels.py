@@ -71,7 +71,7 @@ def check_logs(
 
     if level not in LEVELS:
         raise unknown("level", level, LEVELS)
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
     files = find_files(paths)
     wanted = shard(files.paths, share)
     left_out = {str(item.path): f"{item.path}: {item.reason}" for item in files.skipped}

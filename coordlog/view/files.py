@@ -52,7 +52,7 @@ def draw_files(
         SpecError: for a folder without an episode to show.
         FormatError: if a file is no episode, or holds no complete step.
     """
-    heard = monitor or Monitor()
+    heard = Monitor() if monitor is None else monitor
     if len(paths) > 1 and any(item.is_dir() for item in paths):
         raise ConfigError(
             "view: expected one folder, or episodes; got a folder among several paths"

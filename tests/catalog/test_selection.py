@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coordlog.catalog.gather import gather
-from coordlog.catalog.index import Catalog
 from coordlog.catalog.selection import Split, difference, select
 from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.record import manifest
@@ -104,7 +103,7 @@ def test_a_split_is_whole_and_keeps_equal_goals_together(logs: Path, tmp_path: P
     chosen = select(gather([logs]), split=how, out=tmp_path / "x.manifest")
     assert len(chosen.chosen) == 30
     seen: dict[str, set[str]] = {}
-    rows = Catalog(logs).episodes().to_pylist()
+    rows = gather([logs]).episodes().to_pylist()
     goals = {row["digest"]: row["goal"] for row in rows}
     for each in chosen.chosen:
         seen.setdefault(goals[each.digest], set()).add(each.part)

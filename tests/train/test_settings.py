@@ -118,7 +118,7 @@ def test_a_bad_file_or_preset_is_named(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="cannot be read"):
         load_settings(tmp_path / "none.toml")
     with pytest.raises(
-        ConfigError, match="unknown preset 'best'; choose one of: default, live, paper"
+        ConfigError, match="unknown preset 'best'; choose one of: default, live, paper, quick"
     ):
         load_settings(preset="best")
 
