@@ -19,9 +19,9 @@ from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import SCENES
 
 
-def recorded(out: Path, policy: str, **tables: dict[str, object]) -> coordlog.Episode:
+def recorded(out: Path, who: str, **tables: dict[str, object]) -> coordlog.Episode:
     given = {"env": {"max_steps": 4}, **tables}
-    (file,) = coordlog.record("planar", policy, episodes=1, out=out, tables=given)
+    (file,) = coordlog.record("planar", who, episodes=1, out=out, tables=given)
     return coordlog.open(file)[0]
 
 
