@@ -45,7 +45,9 @@ def migrate(
         coordlog migrate logs/ --out migrated/
     """
     from coordlog.record.files import find_files, nothing_found
+    from coordlog.record.places import require_folder
 
+    require_folder(out)
     given = [(root, find_files(root)) for root in path]
     pairs = [
         (name, out / (name.relative_to(root) if root.is_dir() else name.name))

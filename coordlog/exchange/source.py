@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import zstandard
@@ -43,7 +43,8 @@ class Entry:
             FormatError: if it is not a finished episode.
         """
         header, result, _ = read_summary(path)
-        return cls(path, header, result)
+        shared = {name: _shared(json.dumps(getattr(header, name))) for name in ("env", "policy")}
+        return cls(path, replace(header, **shared), result)
 
     @cached_property
     def row(self) -> Json:
@@ -77,6 +78,13 @@ class Entry:
             "mujoco_version": str(env.get("mujoco_version", "")),
             "schema_version": int(episode["schema_version"]),
         }
+
+
+@lru_cache(maxsize=64)
+def _shared(text: str) -> Json:
+    """A record that most episodes of a run have in common, once: it is most of a header."""
+    record: Json = json.loads(text)
+    return record
 
 
 class Loaded:

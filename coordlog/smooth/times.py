@@ -124,9 +124,9 @@ def _require_resolution(time: Floats) -> None:
     typical, largest = spacing(moved), float(np.abs(time).max())
     if largest > _NEVER or not _INSTANT < typical < _A_DAY:
         raise SpecError(
-            f"time: samples are {typical:.3g} apart, the largest is {largest:.3g}, which cannot "
-            "be seconds; if these are nanoseconds, pass time * 1e-9 or "
-            "time.astype('timedelta64[ns]'), if milliseconds, time * 1e-3"
+            f"time: samples are {typical:.3g} apart, the largest is {largest:.3g}, which cannot be "
+            "seconds; if these are nanoseconds, pass time * 1e-9 or "
+            "time.astype('timedelta64[ns]'), milliseconds, time * 1e-3"
         )
     narrow = time.astype(np.float32)
     step = float(np.spacing(np.abs(narrow).max()))
