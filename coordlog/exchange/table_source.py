@@ -59,7 +59,7 @@ def motions(
         ConfigError: if clock or columns must be named and are not.
     """
     if path.suffix == ".parquet":
-        (raw, notes), kind = (read_parquet(path), ()), "parquet"
+        raw, notes, kind = read_parquet(path), (), "parquet"
     else:
         (raw, notes), kind = read_csv(path), "csv"
     table = _stamped(flat(path, raw))
