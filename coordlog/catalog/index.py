@@ -138,7 +138,12 @@ class Catalog:
 
     def parts(self) -> list[str]:
         """Names of the files of the catalogue, oldest first."""
-        names = [entry.name for entry in self._place.entries(FOLDER)]
+        try:
+            names = [entry.name for entry in self._place.entries(FOLDER)]
+        except StorageError:
+            if not isinstance(self._place, Folder):
+                raise
+            return []  # it cannot be read: none is kept, and whoever writes says so
         return sorted(name for name in names if _NAME.match(name.split("/")[-1]))
 
     def refresh(
@@ -265,8 +270,10 @@ class Catalog:
             table = pq.ParquetFile(pa.BufferReader(self._place.read(name))).read()
             about = table.schema.metadata or {}
             edition = about.get(b"coordlog_catalog", b"none").decode()
-            if edition != EDITION or table.schema.names != KEPT.names:
+            if edition != EDITION:
                 raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
+            if table.schema.names != KEPT.names:
+                raise ValueError("it has other columns than its edition")
             return table.cast(KEPT)
         except (pa.ArrowInvalid, OSError, ValueError) as error:
             self._notes.append(
