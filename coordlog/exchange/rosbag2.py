@@ -65,7 +65,7 @@ CREATE TABLE topics(
   type_description_hash TEXT NOT NULL);
 CREATE TABLE message_definitions(
   id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-  encoded_messagedefinition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
 CREATE TABLE messages(
   id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
   data BLOB NOT NULL);
