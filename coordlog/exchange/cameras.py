@@ -126,7 +126,7 @@ class Canvas:
         extent, planes = self._model.stat.extent, self._model.vis.map
         near, far = planes.znear * extent, planes.zfar * extent
         if self._scene.camera[0].orthographic:
-            return far - self._depth * np.float32(far - near)
+            return np.asarray(far - self._depth * np.float32(far - near))
         return np.asarray(
             near * far / (near + self._depth.astype(float) * (far - near)), np.float32
         )

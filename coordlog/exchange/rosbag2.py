@@ -63,9 +63,9 @@ CREATE TABLE topics(
   id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
   serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,
   type_description_hash TEXT NOT NULL);
-CREATE TABLE messagedefinitions(
+CREATE TABLE message_definitions(
   id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-  encoded_messagedefinition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
 CREATE TABLE messages(
   id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
   data BLOB NOT NULL);
@@ -136,7 +136,7 @@ def _sqlite3(data: bytes, path: Path, moves: bytes, start: int) -> File:
     with closing(sqlite3.connect(path)) as bag:
         bag.executescript(f"PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; {_TABLES}")
         bag.executemany(
-            "INSERT INTO messagedefinitions VALUES (NULL, ?, 'ros2msg', ?, ?)",
+            "INSERT INTO message_definitions VALUES (NULL, ?, 'ros2msg', ?, ?)",
             [(kind, text, hash_of(kind, text)) for kind, text in kinds],
         )
         bag.executemany(

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import coordlog
-from coordlog.errors import ConfigError, FormatError, StorageError
+from coordlog.errors import ConfigError, CoordlogError, StorageError
 from coordlog.exchange import FORMATS, blocks
 from coordlog.exchange.blocks import MARKER, Options, export
 from coordlog.exchange.source import entries
@@ -143,7 +143,7 @@ def test_what_cannot_be_one_set_is_said_before_anything_is_written(chosen, tmp_p
     with pytest.raises(ConfigError, match="would both become the bag 0"):
         export([chosen[0], *entries([chosen[0].path])[0]], tmp_path / "set", Options("rosbag2"))
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FormatError, match="nothing to export"):
+    with pytest.raises(CoordlogError, match="no episodes"):
         entries([tmp_path / "empty"])
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 
