@@ -1,11 +1,8 @@
-"""The one store of transitions, wherever they come from: whole logs, logs that stream through a
-window, live simulations.
+"""The one store of transitions: of whole logs, of logs that stream through a window, of live steps.
 
-It has one lane per simulation and one slot per control step: slot p of lane l is row p · lanes + l,
-and what follows a transition in its episode stands in the next slot of its lane. So an episode
-needs no index, and a block is one write. Logs are one lane: whole and never written to, or a window
-that takes in episodes in place of its oldest transitions, first in, first out, as it does live
-steps.
+One lane per simulation, one slot per control step: slot p of lane l is row p · lanes + l, and what
+follows a transition in its episode stands in the next slot. Logs are one lane: whole, or a window
+whose oldest transitions make room, as those of live steps do.
 """
 
 from __future__ import annotations
@@ -224,8 +221,7 @@ class Transitions:
         )
 
     def save(self, folder: Path) -> None:
-        """Write the slots added since the last save as one more segment file; `total` at this time
-        is what `load` needs.
+        """Write the slots added since the last save as one more segment; `load` needs `total`.
 
         Segments that even the previous save no longer needs are removed, so a crash between this
         and the caller's own checkpoint leaves that save whole.
@@ -249,8 +245,7 @@ class Transitions:
         self._saved = self.total
 
     def load(self, folder: Path, *, total: int) -> None:
-        """Continue from the save made when `total` slots had been written; later segments are
-        removed.
+        """Continue from the save made at `total` slots; later segments are removed.
 
         Raises:
             StorageError: if a segment is missing.
