@@ -109,7 +109,7 @@ class Canvas:
             mujoco.mjtCatBit.mjCAT_ALL,
             self._scene,
         )
-        by_id = kind == "segmentation"
+        by_id = kind != "rgb"  # without it edges are blended, and depths with them
         for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
             self._scene.flags[flag] = by_id
         mujoco.mjr_render(self._area, self._scene, self._context)
@@ -117,7 +117,7 @@ class Canvas:
             mujoco.mjr_readPixels(None, self._depth, self._area, self._context)
             return self._metres()[::-1, :, None].copy()
         mujoco.mjr_readPixels(self._image, None, self._area, self._context)
-        if by_id:
+        if kind == "segmentation":
             return self._geoms()[::-1, :, None].copy()
         return self._image[::-1].copy()
 
@@ -125,6 +125,8 @@ class Canvas:
         """The depth buffer, 1 at the near plane and 0 at the far one, as distances [m]."""
         extent, planes = self._model.stat.extent, self._model.vis.map
         near, far = planes.znear * extent, planes.zfar * extent
+        if self._scene.camera[0].orthographic:
+            return far - self._depth * np.float32(far - near)
         return np.asarray(
             near * far / (near + self._depth.astype(float) * (far - near)), np.float32
         )

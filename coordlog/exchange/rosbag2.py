@@ -166,7 +166,7 @@ def _trajectory_file(target: Path, moves: bytes, start: int) -> File:
         schema = writer.register_schema(TRAJECTORY, "ros2msg", text.encode())
         channel = writer.register_channel(TRAJECTORY_TOPIC, "cdr", schema)
         writer.add_message(channel, start, moves, start)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return File(name, start, start, (Topic(TRAJECTORY_TOPIC, TRAJECTORY, text, 1),))
 
 

@@ -31,7 +31,7 @@ class Topic(NamedTuple):
     kind: str
     text: str
     """definition of its messages"""
-    count: int
+    count: int  # type: ignore[assignment]
 
 
 class File(NamedTuple):

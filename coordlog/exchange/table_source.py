@@ -58,8 +58,9 @@ def motions(
         FormatError: if the table cannot be read, naming line or column.
         ConfigError: if clock or columns must be named and are not.
     """
+    notes: tuple[str, ...] = ()
     if path.suffix == ".parquet":
-        (raw, notes), kind = (read_parquet(path), ()), "parquet"
+        raw, kind = read_parquet(path), "parquet"
     else:
         (raw, notes), kind = read_csv(path), "csv"
     table = _stamped(flat(path, raw))

@@ -101,7 +101,7 @@ def read_summary(path: File) -> Summary:
             metadata are not what was written.
     """
     with opened(path) as fd:
-        records, size = _ends(fd)
+        records, size = _ends(fd, between=True)
         return Summary(decode_header(records), decode_result(records[RESULT]), size)
 
 
@@ -110,13 +110,19 @@ def probe(path: File) -> int:
 
     Raises:
         TruncatedError: if it does not end as a finished file.
-        FormatError: as `read_summary`.
+        FormatError: as `read_summary`, but for what lies between the ends.
     """
-    return read_summary(path).size
+    with opened(path) as fd:
+        records, size = _ends(fd)
+        decode_header(records)
+        decode_result(records[RESULT])
+        return size
 
 
-def _ends(fd: int) -> tuple[Records, int]:
-    """The metadata records of a finished file, vouched for, and its size."""
+def _ends(fd: int, *, between: bool = False) -> tuple[Records, int]:
+    """The metadata records of a finished file, vouched for, and its size; with `between`, what
+    another tool wrote is decoded whole.
+    """
     size = os.fstat(fd).st_size
     head = read(fd, 0, HEAD)
     require_coordlog(head, whole=size <= HEAD)
@@ -135,7 +141,7 @@ def _ends(fd: int) -> tuple[Records, int]:
         if own:
             start = summary_start(data[-TAIL_SIZE:], size)
             verify_summary(memoryview(data)[start:])
-        elif RESULT in records:  # its ends say nothing of what another tool left between them
+        elif between and RESULT in records:  # its ends say nothing of what lies between them
             decode(contents(data))
     require_header(records)
     require_version(records[EPISODE])

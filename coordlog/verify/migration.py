@@ -86,7 +86,7 @@ def migrated_before(source: Recording, target: Path) -> bool:
         lineage = read_header(target).lineage
     except CoordlogError:
         return False
-    return lineage["transform"] == MIGRATED and lineage["parents"] == [source.digest]
+    return bool(lineage["transform"] == MIGRATED and lineage["parents"] == [source.digest])
 
 
 def _simulated(source: Recording) -> tuple[dict[str, Array], str]:

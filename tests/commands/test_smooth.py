@@ -246,7 +246,7 @@ def test_inputs_that_are_no_use_are_named_and_the_rest_is_done(logs: Path, tmp_p
     ):
         assert name in said(done), name
     assert "no model attached" in said(done)
-    assert [path.name for path in out.iterdir()] == ["good.mcap"]
+    assert [path.name for path in out.glob("*.mcap")] == ["good.mcap"]
 
 
 def test_a_log_that_cannot_be_made_smoother_keeps_its_steps_and_says_why(
