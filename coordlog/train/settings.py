@@ -167,6 +167,11 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
     for section, values in settings.asdict().items():
         for key, value in values.items():
             before = saved.get(section, {}).get(key, UNSAID.get((section, key)))
+            if before is None:
+                raise ConfigError(
+                    f"resume: expected a run with {section}.{key}, got one of before there was "
+                    "that; begin another"
+                )
             if before != value and (section, key) not in BUDGET:
                 raise ConfigError(
                     f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the "

@@ -153,6 +153,13 @@ def test_what_makes_training_easier_is_named_alike_in_both_places() -> None:
     assert all(getattr(EnvConfig(), name) == getattr(PracticeConfig(), name) == 0 for name in names)
 
 
+def test_a_run_of_before_the_average_cannot_be_resumed() -> None:
+    saved = json.loads(json.dumps(PRESETS["default"].asdict()))
+    del saved["loop"]["average"]
+    with pytest.raises(ConfigError, match=r"expected a run with loop\.average, got one of before"):
+        refuse_changes(PRESETS["default"], saved)
+
+
 @pytest.mark.parametrize("preset", AROUND)
 def test_a_presets_surroundings_are_constants_that_there_are(preset: str) -> None:
     around = surroundings(preset)
