@@ -7,6 +7,7 @@ and named), 130 interrupted.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from typing import Annotated
 
@@ -97,6 +98,8 @@ def coordlog(
 def main() -> None:
     """Entry point of the console script."""
     terminal.prepare_streams()
+    # a polite kill unwinds as Ctrl-C does: nothing that was started is left behind
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = EXIT_BAD_INPUT
     try:
         app(standalone_mode=True)

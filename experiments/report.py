@@ -203,9 +203,9 @@ def scene_table(found: Tables, scene: str) -> str:
 
 SPEED = """## Speed, before and after
 
-The tree before the rooms were built (commit 3a60418) and today's, on the same logs and in turns where that can be, processor time of one
-thread; *today* alone where the old benchmark cannot be run beside. Measured on two shared, overloaded cores: trust the ratios, and
-those to a tenth. `make bench` measures all rows but the first four anew.
+The tree before the rooms were built (commit 3a60418) and today's, on the same episodes, taking turns: processor time of one thread, the
+least disturbed turn of each. Measured on two shared, overloaded cores: trust the ratios, and those to a tenth. `python -m
+experiments.speed.bench_before LOGS --before TREE --now V2LOGS` measures them anew.
 
 """
 

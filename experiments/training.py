@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from coordlog.api.train_plan import TrainPlan, preset_of
 from coordlog.config import plain
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
@@ -41,7 +42,9 @@ def command(run: dict[str, Any]) -> str:
     words += ["--live"] if mode == "both" else []
     words += [f"--where {json.dumps(run['where'])}"] if run["where"] else []
     preset = run.get("preset", "default")
-    words += [f"--preset {preset}"] if preset != ("live" if mode == "live" else "default") else []
+    source = None if mode == "live" else ["logs"]
+    untold = preset_of(TrainPlan(source=source, scene=scene))
+    words += [f"--preset {preset}"] if preset != untold else []
     if run.get("start", "stand") != "stand":
         words += [f"--start {run['start']}"]
     if mode != "live" or loop["updates"]:

@@ -141,6 +141,11 @@ def constants(plan: TrainPlan) -> Constants:
         given |= {"loop.steps": STEPS, "loop.updates": plan.updates or 0}
     own = [f"{key}={value}" for key, value in given.items() if value is not None]
     settings = load_settings(preset=preset, tables=tables, assignments=[*assigned, *own])
+    if isinstance(workers(plan.jobs), str) and not plan.collectors and not plan.window:
+        raise ConfigError(
+            f"--jobs {plan.jobs}: expected --collectors or --memory to share out, got neither; "
+            "logs that are held are decoded on this machine"
+        )
     if plan.window and not plan.source:
         raise ConfigError("--memory: expected logs to stream, --from, got none")
     if plan.collectors and (plan.mode == "logs" or plan.collectors > plan.envs):

@@ -107,10 +107,7 @@ def _found(paths: Sequence[Path]) -> tuple[list[tuple[Path, str]], list[str]]:
             raise nothing_found([path], found)
         several = len(paths) > 1
         files += [(each, name_within(each, path, several=several)) for each in found.paths]
-        left_out += [f"skipped: {each}: {reason}" for each, reason in found.skipped]
-        left_out += [
-            f"unfinished: {part}; `coordlog recover` makes an episode of it" for part in found.parts
-        ]
+        left_out += [f"skipped: {each}" for each in found.left_out()]
     return files, left_out
 
 

@@ -135,8 +135,12 @@ def record(
     with terminal.interruptible() as monitor:
         _, figures = record_scene(plan, out, monitor)
     _show(figures, out=out, as_json=as_json)
-    aborted = figures["aborted"]
-    if monitor.stopped:
+    _end(figures["aborted"], interrupted=monitor.stopped)
+
+
+def _end(aborted: int, *, interrupted: bool) -> None:
+    """The exit code of what became of the episodes."""
+    if interrupted:
         said = f"interrupted: {aborted} episodes were closed as aborted; all their steps are kept"
         terminal.note(said)
         raise typer.Exit(EXIT_INTERRUPTED)

@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError, unknown
-from coordlog.exchange import FORMATS, WITH_IMAGES
+from coordlog.exchange import FORMATS, WITH_ARRAYS, WITH_IMAGES
 from coordlog.exchange.source import Entry, Loaded, fps_of, task_text
 from coordlog.parallel import mapped
 from coordlog.record.storage import translated
@@ -125,6 +125,12 @@ def export(
     module = format_of(options.to)
     if options.cameras and options.to not in WITH_IMAGES:
         raise ConfigError(f"--to {options.to} holds no images; these do: {', '.join(WITH_IMAGES)}")
+    other = [camera for camera in options.cameras if camera.endswith((":depth", ":segmentation"))]
+    if other and options.to not in WITH_ARRAYS:
+        raise ConfigError(
+            f"--camera {other[0]}: videos hold colours alone; these hold arrays: "
+            f"{', '.join(WITH_ARRAYS)}"
+        )
     if options.storage not in STORAGES:
         raise unknown("storage", options.storage, STORAGES)
     plan = _plan(chosen, options)

@@ -112,6 +112,19 @@ def mapped(motion: Motion, given: JointMap) -> Motion:
     )
 
 
+def require_named(motion: Motion) -> None:
+    """Hold every joint of a motion to have a name of its own.
+
+    Raises:
+        FormatError: naming the first that has none, or another's.
+    """
+    for i, name in enumerate(motion.names):
+        if not name:
+            raise FormatError(f"{motion}: joint {i}: expected a name, got none")
+        if name in motion.names[:i]:
+            raise FormatError(f"{motion}: expected each joint once, got {name} twice")
+
+
 def require_known(motion: Motion, joints: Mapping[str, Joint]) -> None:
     """Hold every joint of a motion to be one of the model, each once.
 

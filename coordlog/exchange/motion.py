@@ -14,11 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array, Json
-from coordlog.errors import FormatError
+from coordlog.errors import ConfigError, FormatError
 
 NS = 1_000_000_000
 GAP = 3.0
 """Median periods that pass without a sample before it is called a gap."""
+MOST_SAMPLES = 1000
+"""Samples that resampling may make of one: more is a wrong rate, not a wish."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +156,11 @@ def require_usable(motion: Motion) -> None:
     back = motion.timing.backwards
     if back:
         at = back[0]
+        other = "--stamps chooses another clock, " if motion.format == "rosbag2" else ""
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
             f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "
-            f"({motion.clock or 'its clock'}); --stamps chooses another clock, --split-clock "
-            "begins an episode there"
+            f"({motion.clock or 'its clock'}); {other}--split-clock begins an episode there"
         )
 
 
@@ -202,8 +204,17 @@ def prepared(
 
 
 def resampled(motion: Motion, rate: float) -> Motion:
-    """The motion at even times, by straight lines between its samples; said in its notes."""
+    """The motion at even times, by straight lines between its samples; said in its notes.
+
+    Raises:
+        ConfigError: if there would be far more samples than there are.
+    """
     period = NS / rate
+    if (motion.stamps[-1] - motion.stamps[0]) / period > MOST_SAMPLES * len(motion):
+        raise ConfigError(
+            f"--resample {rate:g}: more than {MOST_SAMPLES} samples for each of the {len(motion)} "
+            f"in {motion}; choose fewer a second"
+        )
     count = int((motion.stamps[-1] - motion.stamps[0]) / period + 1e-9) + 1
     stamps = motion.stamps[0] + np.rint(np.arange(count) * period).astype(np.int64)
     here, there = (motion.stamps - motion.stamps[0]) / NS, (stamps - stamps[0]) / NS

@@ -13,8 +13,8 @@ from pathlib import Path
 import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
-from coordlog.errors import FormatError
-from coordlog.record.files import Files, find_files
+from coordlog.errors import FormatError, StorageError
+from coordlog.record.files import Files, Skipped, find_files, nothing_found, reason_of
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -145,25 +145,26 @@ def entries(
         skip_broken: Leave out what is broken.
 
     Raises:
-        FormatError: if there are none, or one is broken and they are not to be skipped.
+        SpecError: if there are none.
+        FormatError: if one is broken and they are not to be skipped.
     """
     found = paths if isinstance(paths, Files) else find_files(paths)
-    skipped = [f"{path}: {reason}" for path, reason in found.skipped]
-    if skipped and not skip_broken:
-        raise FormatError(f"{skipped[0]}; --skip-broken exports the others")
+    left: list[Skipped] = []
+    if found.skipped and not skip_broken:
+        path, reason = found.skipped[0]
+        raise FormatError(f"{path}: {reason}; --skip-broken exports the others")
     known: list[Entry] = []
     for path in found.paths:
         try:
             known.append(Entry.of(path))
-        except FormatError as error:
+        except (FormatError, StorageError) as error:
             if not skip_broken:
-                raise FormatError(f"{error}; --skip-broken exports the others") from None
-            skipped.append(str(error))
-    skipped += [f"{part}: unfinished; `coordlog recover` makes an episode" for part in found.parts]
+                raise type(error)(f"{error}; --skip-broken exports the others") from None
+            left.append(Skipped(path, reason_of(path, error)))
     if not known:
-        where = "" if isinstance(paths, Files) else f" under {', '.join(map(str, paths))}"
-        raise FormatError(f"no episodes (.mcap){where}: there is nothing to export")
-    return known, skipped
+        given = () if isinstance(paths, Files) else paths
+        raise nothing_found(given, found, skipped=left)
+    return known, found._replace(skipped=(*found.skipped, *left)).left_out()
 
 
 def kind_of(header: Header) -> str:

@@ -46,8 +46,7 @@ from coordlog.spec import LEARNT, names
 SHARD = 128
 """Episodes in a shard."""
 STEPS, EPISODES, SUMS = ".steps.arrow", ".episodes.arrow", ".sums.json"
-TRIES = 3
-"""A shard that is still damaged when it was made so often is not used."""
+TRIES = 3  # a shard that is still damaged when it was made so often is not used
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
 
@@ -194,10 +193,9 @@ _SAID = pa.schema(
 
 def _said(header: Header) -> Json:
     """What a header says, for the columns of `_SAID`."""
-    row: Json = {
-        key: _text(header.episode.get(key)) for key in ("scene", "split", "robot", "start")
-    }
-    row |= {key: _whole(header.episode.get(key)) for key in ("seed", "index")}
+    about = header.episode
+    row: Json = {key: _text(about.get(key)) for key in ("scene", "split", "robot", "start")}
+    row |= {key: _whole(about.get(key)) for key in ("seed", "index")}
     return row | {"env": json.dumps(header.env)}
 
 

@@ -254,6 +254,9 @@ def vouched(records: Mapping[str, Strings]) -> Json:
     declared.require(values, declared.COMMIT, RESULT)
     if strings.pop("seal") != digest(strings):
         raise FormatError(f"metadata {RESULT}: the record is damaged: its seal is another")
+    for name in HEADER_RECORDS:
+        if name not in values["metadata"]:
+            raise FormatError(f"metadata {RESULT}: it does not vouch for {name}")
     for name, wanted in values["metadata"].items():
         if name not in records:
             raise FormatError(f"metadata {name} missing: the commit marker names it")

@@ -310,10 +310,11 @@ def write_episode(
     attachments: Mapping[str, bytes],
     display: bool,
     shown: Shown | None = None,
+    block: int = BLOCK,
 ) -> Result:
     """Write an episode that is in memory; its `result` is computed anew but for `aborted`.
 
-    Arguments as of `EpisodeWriter`.
+    Arguments as of `EpisodeWriter`, and `block`, the steps of a chunk.
 
     Raises:
         StorageError: if the file exists or cannot be written; a part file that was begun stays.
@@ -321,8 +322,8 @@ def write_episode(
     with EpisodeWriter(
         path, episode.header, attachments=attachments, display=display, shown=shown
     ) as writer:
-        for first in range(0, len(episode), BLOCK):
-            stop = min(first + BLOCK, len(episode))
+        for first in range(0, len(episode), block):
+            stop = min(first + block, len(episode))
             columns = {name: values[first:stop] for name, values in episode.columns.items()}
             low, high = np.searchsorted(episode.contacts["step"], (first, stop))
             inputs = _inputs_between(episode.inputs, first, stop)

@@ -1,7 +1,7 @@
 """Learning from more logs than memory holds: peak memory with a window, and what the window costs.
 
     python experiments/speed/bench_stream.py [--episodes 100000] [--memory 200MB] [--rounds 20]
-    [--keep FOLDER] [--json FILE]
+    [--longest] [--keep FOLDER] [--json FILE]
 
 The logs are a pack whose members are copies of an episode of the tests, 256 of them with headers of
 their own, and its catalogue. Memory is that of `coordlog train --memory`, of all of its processes

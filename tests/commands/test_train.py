@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from coordlog.api.judging import Judge, evaluation_envs
-from coordlog.api.train_plan import TrainPlan, preset_of
+from coordlog.api.train_plan import TrainPlan, constants, preset_of
 from coordlog.cli import app
 from coordlog.errors import ConfigError, CoordlogError
 from coordlog.policies.learned import Policy
@@ -154,6 +154,13 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(
         "every episode, none twice"
     )
     coordlog(cache, "check", tmp_path / "parts" / "episodes", "--jobs", "1", wanted=0)
+
+
+def test_a_cluster_reads_what_streams_and_nothing_else() -> None:
+    assert TrainPlan(source=["logs"], memory="1GB", jobs="ray").readers == "ray"
+    assert TrainPlan(source=["logs"], memory="1GB", collectors=2, jobs="ray").readers == 0
+    with pytest.raises(ConfigError, match="--jobs ray: expected --collectors or --memory"):
+        constants(TrainPlan(source=["logs"], jobs="ray"))
 
 
 def test_logs_stream_beside_the_steps_of_two_collectors(

@@ -19,17 +19,17 @@ from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import SCENES
 
 
-def recorded(out: Path, policy: str, **tables: dict[str, object]) -> coordlog.Episode:
+def recorded(out: Path, who: str, **tables: dict[str, object]) -> coordlog.Episode:
     given = {"env": {"max_steps": 4}, **tables}
-    (file,) = coordlog.record("planar", policy, episodes=1, out=out, tables=given)
+    (file,) = coordlog.record("planar", who, episodes=1, out=out, tables=given)
     return coordlog.open(file)[0]
 
 
 def test_constants_are_settable_and_logged(tmp_path: Path) -> None:
     plainly = recorded(tmp_path / "a", "expert")
-    slower = recorded(tmp_path / "b", "expert", policy={"gain_steps": 8.0})
+    slower = recorded(tmp_path / "b", "expert", policy={"gain_steps": 400.0})
     assert plainly.header.policy["constants"] == plain(ExpertConfig())
-    assert slower.header.policy["constants"] == plain(ExpertConfig(gain_steps=8.0))
+    assert slower.header.policy["constants"] == plain(ExpertConfig(gain_steps=400.0))
     assert np.abs(slower.action).max() < np.abs(plainly.action).max()
     wild = recorded(tmp_path / "c", "random", policy={"sigma": 0.1})
     assert wild.header.policy["constants"] == plain(RandomConfig(sigma=0.1))
