@@ -221,7 +221,7 @@ class Catalog:
         below = self._described_below(fresh)
         rest = _others(fresh, _stamps(below))
         jobs = [Job(self.root, tuple(group)) for group in batches(rest, GROUP)]
-        found = table_of(row for rows in run(described, jobs) for row in rows)
+        found = pa.concat_tables(map(table_of, run(described, jobs))) if jobs else table_of(())
         added = pa.concat_tables([below, found, tombstones(gone)]).sort_by("path")
         self._rows = newest([self.rows(), added])
         if not keep:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from coordlog.catalog.summary import summarise
+from coordlog.errors import SpecError
 from coordlog.record.writer import write_episode
 from tests.record.test_reader import bad_files
 from tests.synthetic import ATTACHMENTS, make_episode, make_header
@@ -86,7 +87,6 @@ def test_broken_files_are_named_with_their_reason(folder):
     assert all(bad[skipped.path.name] in skipped.reason for skipped in summary.skipped)
 
 
-def test_an_empty_folder_has_no_rows(tmp_path):
-    summary = summarise([tmp_path])
-    assert summary.rows == ()
-    assert summary.totals.episodes == 0
+def test_an_empty_folder_is_said_to_be_one(tmp_path):
+    with pytest.raises(SpecError, match="no episodes"):
+        summarise([tmp_path])
