@@ -86,8 +86,8 @@ def _idle(model: mujoco.MjModel, actuator: int, length: float) -> float:
 
 
 def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
-    """Give every joint of the action a position servo in its own units, and every motor that the
-    robot's gains name.
+    """Give every joint of the action a position servo in its own units, and every motor and every
+    joint that the robot's gains name.
 
     Returns:
         One sentence for each joint that has none and gets none.
@@ -104,7 +104,8 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
         if served or joint.type not in (HINGE, SLIDE):
             continue
         gains = robot.gains(joint.name)
-        if gains is not None and (own or joint.name in robot.action_joints):
+        wanted = own or joint.name in robot.action_joints or joint.name in robot.servo_gains
+        if gains is not None and wanted:
             _serve(spec, joint, own[0] if own else None, gains)
             if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
                 # MuJoCo's default lets a stiff servo on a light link diverge.

@@ -193,10 +193,12 @@ class Expert:
             SPREAD * self._moves * self._step / self._step.max()
         )  # a slow spine's detour would take the whole episode
         for _ in range(TRIES):
-            vias = [
-                np.clip(via + spread * rng.standard_normal(len(via)), low, high) for via in ways[0]
-            ]
             for end in ends:
+                known = ways[0] or [(start + end) / 2]  # around the middle of the straight way
+                vias = [
+                    np.clip(via + spread * rng.standard_normal(len(via)), low, high)
+                    for via in known
+                ]
                 if self._clear([start, *vias, end], CLEARANCES[-1]):
                     return [*vias, end]
         return [*ways[0], ends[0]]
