@@ -197,9 +197,22 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
             unit = "m" if slide else "rad"
             said.append(
                 f"pose '{pose}' is not held: joint '{name}' was asked to be at {rest.asked[at]:.3f} {unit} and came to rest "
-                f"at {qpos[at]:.3f} {unit}; stiffen its servo or choose another pose"
+                f"at {qpos[at]:.3f} {unit}; {_tied(model, name)}stiffen its servo or choose another pose"
             )
     return said
+
+
+def _tied(model: mujoco.MjModel, name: str) -> str:
+    """What an equality of the model ties a joint to, as the beginning of a sentence."""
+    joint, found = model.joint(name).id, []
+    for tie in np.flatnonzero(model.eq_active0 & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT)):
+        pair = [int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])]
+        if joint in pair:
+            other = pair[1 - pair.index(joint)]
+            found.append(f"'{model.joint(other).name}'" if other >= 0 else "a fixed place")
+    return f"an equality ties it to {' and '.join(found)}: leave it out of the action, or " * bool(
+        found
+    )
 
 
 def _list(names: list[str]) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from coordlog.errors import ConfigError, SimulationError, SpecError
-from coordlog.record.foreign import Recorder, attachments_of, record_env, recording, simulation_of
+from coordlog.record.foreign import Recorder, record_env, recording
+from coordlog.record.foreign_env import attachments_of, simulation_of
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
 from coordlog.sim.foreign import Watch
