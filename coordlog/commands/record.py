@@ -35,11 +35,11 @@ def record(
         ),
     ] = "",
     policy: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="expert, random, still, pretrained, or a run folder or policy file; with --env random, FILE.py:NAME or a model of stable-baselines3."
+            help="expert (without --env), random, still, pretrained, or a run folder or policy file; with --env random, FILE.py:NAME or a model of stable-baselines3."
         ),
-    ] = "expert",
+    ] = None,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="How many; by default 10, or one per branch.")
     ] = None,
@@ -126,11 +126,11 @@ def record(
             )
         if noise or split != "train":
             raise ConfigError("--env: an environment of its own has no --noise and no --split")
-        acts = "" if policy == "expert" else policy
         record_environment(
-            env_id, acts, episodes=episodes or 10, seed=seed, out=out, as_json=as_json
+            env_id, policy or "random", episodes=episodes or 10, seed=seed, out=out, as_json=as_json
         )
         return
+    policy = policy or "expert"
     from coordlog.commands.logs import load_logs
     from coordlog.config import read_toml
     from coordlog.policies.registry import DEFAULT_SCENE, about, make_policy, policy_file
