@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO ?= demo
 
+# Tests and benchmarks start many processes: none has to compile the package anew.
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: help demo test check lint fix bench results schemas docs clean
 .DEFAULT_GOAL := help
 
@@ -23,7 +26,7 @@ demo: $(READY)  ## the whole path, from recording to pictures, in demo/
 	BIN=$(BIN) sh docs/demo.sh $(DEMO)
 
 test: $(READY)  ## all tests, under five minutes on two cores
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: lint test  ## format, lint, types, tests: what has to pass before a change lands
 

@@ -21,6 +21,7 @@ _HOMES = {
     "Dataset": "coordlog.record.dataset",
     "Episode": "coordlog.episode",
     "GymEnv": "coordlog.sim.gym",
+    "Monitor": "coordlog.monitor",
     "Path": "coordlog.path",
     "Recorder": "coordlog.record.foreign",
     "Recording": "coordlog.record.recording",

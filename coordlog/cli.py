@@ -28,6 +28,7 @@ from coordlog.commands import (
     robot,
     scenes,
     select,
+    serve,
     smooth,
     terminal,
     train,
@@ -67,6 +68,7 @@ app.command("export")(export.export)
 app.command("index")(index.index)
 app.command("query")(query.query)
 app.command("select")(select.select)
+app.command("serve")(serve.serve)
 app.command("diff")(diff.diff)
 app.command("pack")(pack.pack)
 app.command("unpack")(pack.unpack)

@@ -6,24 +6,49 @@ import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from coordlog.errors import ConfigError
+
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 
 def require_condition(connection: DuckDBPyConnection, where: str) -> None:
-    """Hold a text to one expression that looks at one episode at a time.
+    """Hold a text to one expression that looks at one row of `episodes` at a time, and is true or
+    false of it.
 
     It is judged by the tree that the database's own parser makes of it, so there is nothing that
     the two could read differently.
 
     Raises:
-        ValueError: saying what it is instead.
+        ConfigError: saying what it is instead.
     """
-    statements = connection.extract_statements(f"select row from episodes where ({where}\n)")
+    import duckdb
+
+    try:
+        _require_expression(connection, where)
+        # a condition may hold no aggregate; what is selected may be of any type
+        connection.execute(f"explain select true from episodes where ({where}\n)")
+        columns = connection.execute(f"describe select ({where}\n) from episodes").fetchall()
+    except (duckdb.Error, ValueError) as error:
+        raise _refused(connection, error) from None
+    kinds = [str(kind) for _, kind, *_ in columns]
+    if kinds != ["BOOLEAN"]:
+        reason = f"one that is true or false, got {', '.join(kinds)}"
+        raise _refused(connection, ValueError(reason))
+
+
+def _refused(connection: DuckDBPyConnection, error: Exception) -> ConfigError:
+    names = ", ".join(str(row[0]) for row in connection.execute("describe episodes").fetchall())
+    reason = (str(error).splitlines() or ["it cannot be parsed"])[0]
+    return ConfigError(f"--where: expected an SQL condition over {names}; {reason}")
+
+
+def _require_expression(connection: DuckDBPyConnection, where: str) -> None:
+    statements = connection.extract_statements(f"select 1 from episodes where ({where}\n)")
     if len(statements) != 1:
         raise ValueError(f"one condition, got {len(statements)} statements")
-    wanted = _tree(connection, "select row from episodes where (true)")
-    node = _tree(connection, f"select row from episodes where ({where}\n)")
+    wanted = _tree(connection, "select 1 from episodes where (true)")
+    node = _tree(connection, f"select 1 from episodes where ({where}\n)")
     _tree(connection, f"select [{where}\n]")  # what closes our bracket closes but one of the two
     condition = node.pop("where_clause", None)
     wanted.pop("where_clause")

@@ -11,9 +11,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import secrets
+import signal
 import sys
+import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -26,8 +28,6 @@ Answer = TypeVar("Answer")
 RAY = "ray"
 RETRIES = 3
 """How often an item is begun again on a cluster after the process that had it died."""
-JOBS_HELP = "Processes, 0 for one per core; ray or ray://HOST:PORT for a cluster."
-SHARD_HELP = "The I-th of N equal shares of the work, 1/N to N/N: one for each job of an array."
 
 _IN_FLIGHT = 4  # items per core of a cluster that are handed out at a time
 
@@ -71,16 +71,17 @@ def workers(jobs: int | str) -> int | str:
 
 
 def mapped(
-    function: Callable[[Item], Answer], items: Sequence[Item], *, jobs: int | str
+    function: Callable[[Item], Answer], items: Iterable[Item], *, jobs: int | str
 ) -> Iterator[Answer]:
     """Answers in the order of the items, each as soon as it and those before it are there.
 
     Args:
         function: A module-level function: it is sent to fresh processes. On a cluster it may be
             called twice with an item, where a process died: what it writes must be the same.
-        items: What to call it with.
-        jobs: Processes, 0 for one per core; or a cluster, see `workers`. A single process, or a
-            single item, runs right here.
+        items: What to call it with. Without a length, such as of a generator that need not end, they
+            are worked on a little ahead of what is asked for, and never right here.
+        jobs: Processes, 0 for one per core; or a cluster, see `workers`. Of items that have a length
+            a single one, or a single process, runs right here.
 
     Raises:
         ConfigError: if `jobs` is none, or the cluster cannot be reached.
@@ -93,42 +94,77 @@ def mapped(
     if isinstance(wanted, str):
         yield from _on_ray(function, items, wanted)
         return
-    count = min(wanted or os.cpu_count() or 1, len(items))
-    if count <= 1:
-        yield from map(function, items)
-        return
+    count, window = wanted or os.cpu_count() or 1, _IN_FLIGHT
+    begin: Callable[[], None] | None = _attend
+    if isinstance(items, Sized):
+        count, window, begin = min(count, len(items)), len(items), None
+        if count <= 1:
+            yield from map(function, items)
+            return
     # Fresh processes, not forks: a fork would inherit the threads of a progress bar in an unknown
     # state.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = [pool.submit(function, item) for item in items]
-        try:
-            for future in futures:
-                yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, mp_context=spawn, initializer=begin) as pool:
+        yield from _in_order(
+            items,
+            max(window, count * _IN_FLIGHT),
+            submit=lambda item: pool.submit(function, item),
+            answer=lambda future: future.result(),
+            cancel=lambda future: future.cancel(),
+        )
+
+
+def _attend() -> None:
+    """Leave Ctrl-C to the process that we work for, and end when it does, however it ends."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
+
+
+def _in_order(
+    items: Iterable[Item],
+    window: int,
+    *,
+    submit: Callable[[Item], Any],
+    answer: Callable[[Any], Answer],
+    cancel: Callable[[Any], object],
+) -> Iterator[Answer]:
+    """Answers in the order of the items, of which so many at most are handed out at a time."""
+    pending: deque[Any] = deque()
+    waiting = iter(items)
+    try:
+        while True:
+            while len(pending) < window and (item := next(waiting, _END)) is not _END:
+                pending.append(submit(item))
+            if not pending:
+                return
+            yield answer(pending.popleft())
+    finally:
+        for left in pending:
+            cancel(left)
 
 
 def _on_ray(
-    function: Callable[[Item], Answer], items: Sequence[Item], address: str
+    function: Callable[[Item], Answer], items: Iterable[Item], address: str
 ) -> Iterator[Answer]:
     """As `mapped`, by tasks of Ray."""
-    with _cluster(address) as ray:
+    with cluster(address) as ray:
         task = ray.remote(max_retries=RETRIES, num_cpus=1)(_called)
-        window = _IN_FLIGHT * max(int(ray.cluster_resources().get("CPU", 1)), 1)
         kept = ray.put(function)
-        pending: deque[Any] = deque()
-        waiting = iter(items)
-        try:
-            while True:
-                while len(pending) < window and (item := next(waiting, _END)) is not _END:
-                    pending.append(task.remote(kept, item))
-                if not pending:
-                    return
-                yield _answer(ray, pending.popleft())
-        finally:
-            for reference in pending:
-                ray.cancel(reference, force=False)
+        yield from _in_order(
+            items,
+            _IN_FLIGHT * max(int(ray.cluster_resources().get("CPU", 1)), 1),
+            submit=lambda item: task.remote(kept, item),
+            answer=lambda reference: answer_of(ray, reference),
+            cancel=lambda reference: ray.cancel(reference, force=False),
+        )
 
 
 _END: Any = object()
@@ -138,10 +174,12 @@ def _called(function: Callable[[Item], Answer], item: Item) -> Answer:
     return function(item)
 
 
-def _answer(ray: Any, reference: Any) -> Any:
-    """The answer of a task, or the error that the function raised."""
+def answer_of(ray: Any, reference: Any, leave: Any = ()) -> Any:
+    """The answer of a task, or the error that the function raised; errors to leave are left."""
     try:
         return ray.get(reference)
+    except leave:
+        raise
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None
     except ray.exceptions.RayError as error:
@@ -152,7 +190,7 @@ def _answer(ray: Any, reference: Any) -> Any:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Any]:
+def cluster(address: str) -> Iterator[Any]:
     """A connection to a cluster, or one of our own on this machine."""
     if address == RAY and not os.environ.get("RAY_ADDRESS"):
         _lock_up()

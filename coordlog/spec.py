@@ -168,6 +168,9 @@ STEP = Message(
     ),
 )
 
+LEARNT = (_BEFORE[-1], _ACTION, *REACH, _TERMINATED)
+"""What is learnt from: the policy state, the action, and what the task says that it led to."""
+
 V1_STEP = STEP._replace(
     fields=(STEP_INDEX, *_BEFORE, _ACTION, _REWARD, *REACH, _TERMINATED, _TRUNCATED)
 )

@@ -5,7 +5,6 @@ stable-baselines3 (.zip).
 from __future__ import annotations
 
 import hashlib
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GOAL_PARTS, STATE_BOUND
 
 FOREIGN = ".zip"
-PEERS = Path(__file__).parents[1] / "experiments" / "speed"
 ABOUT = ("scene", "mode", "seed", "updates", "steps", "log_episodes", "data")
 """What a table keeps of what a policy file says of its training."""
 
@@ -41,14 +39,17 @@ class Foreign:
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Nothing to prepare."""
 
-    def act(self, ids: Array, state: Array) -> Array:
-        """Actions without exploration, (n, n_u)."""
-        seen = {
+    def observation(self, state: Array) -> dict[str, Array]:
+        """What the model saw while learning."""
+        return {
             "observation": np.clip(state[:, self._seen], -STATE_BOUND, STATE_BOUND),
             "achieved_goal": self._view.physical(state, "palms"),
             "desired_goal": self._view.physical(state, "goals"),
         }
-        action, _ = self._model.predict(seen, deterministic=True)
+
+    def act(self, ids: Array, state: Array) -> Array:
+        """Actions without exploration, (n, n_u)."""
+        action, _ = self._model.predict(self.observation(state), deterministic=True)
         return np.asarray(action, dtype=np.float32)
 
 
@@ -63,7 +64,6 @@ def actor(name: str, env: BatchEnv, *, shield: bool | None = None) -> tuple[Poli
         from stable_baselines3 import TD3
         from stable_baselines3.common.buffers import DictReplayBuffer
 
-        sys.path.insert(0, str(PEERS))  # a model names the classes it was trained with
         # The buffer for hindsight wants an environment of its own; to act, none is needed.
         small = {
             "replay_buffer_class": DictReplayBuffer,

@@ -10,7 +10,7 @@ import numpy as np
 from coordlog.contracts import Problem
 from coordlog.episode import Array, Header
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.scoring import Score
 from coordlog.sim.tracking import Drive, Run, run
 from experiments.measure import SEED, SPLIT
@@ -58,7 +58,7 @@ def chase(log: Log, path: Callable[[float], Array], duration: float) -> Run:
     """Drive the servos along a path of the action joints, path(t) (n_u,) [rad], and hold its end
     until the episode does.
     """
-    task = task_of(log)
+    task = bound_task(log)
     period, (low, high) = task.config.control_period, task.limits.T
     trim = np.zeros(len(low))
 

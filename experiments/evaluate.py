@@ -28,7 +28,7 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.making import make_env
 from experiments import tables
 from experiments.actors import FOREIGN, actor
-from experiments.measure import SEED, SPLIT, decisions, figures, run
+from experiments.measure import SEED, SPLIT, TIMED, decisions, figures, run
 from experiments.recipes import row_names
 from experiments.torso import SPINE
 from experiments.training import cost
@@ -82,7 +82,8 @@ def evaluate(
             said["cost"] = cost(Path(policy), said["training"])
         print(f"{scene} {row} {name}: {summary(table[name])}", file=sys.stderr, flush=True)
     env = environment(scene, policy, radius=RADII["3 cm"], torso=torso, envs=1, threads=1)
-    table["decision"] = decisions(env, _acting(row, policy, env)[0])
+    timed = _acting(row, policy, env)[0]
+    table["decision"] = decisions(env, timed, episodes=min(TIMED, episodes))
     table["problems"] = {"seed": SEED, "split": SPLIT, "episodes": episodes}
     table["versions"] = versions()
     return table

@@ -45,13 +45,9 @@ def measure(knots: tuple[int, ...] = KNOTS) -> tables.Table:
         )
         row: dict[str, Any] = {"knots": n}
         for name, options in METHODS.items():
+            log = where.log
             checker = SceneChecker(
-                where.log.model,
-                task.robot,
-                task.config,
-                time=time,
-                qpos=qpos,
-                initial=where.log.start,
+                log.model, task.robot, task.config, time=time, qpos=qpos, initial=log.start
             )
             # The checker is one by its methods: the simulation's room knows nothing of smoothing.
             result = smooth(time, qpos[:, task.qpos_index], cast("Any", checker), **options)

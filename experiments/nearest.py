@@ -82,4 +82,4 @@ class Nearest:
                 bound[:, j] = np.linalg.norm(away, axis=1)
             else:
                 bound[:, j] = np.linalg.norm(away, axis=1) - model.geom_rbound[geom]
-        return bound - model.geom_rbound[self._robot][:, None]
+        return np.asarray(bound - model.geom_rbound[self._robot][:, None])

@@ -4,6 +4,7 @@ simplification; the base standing still.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from time import process_time
 from typing import Any, NamedTuple
@@ -88,9 +89,9 @@ def plan(env: BatchEnv, where: Case) -> Plan:
     if goal is None:
         return Plan(None, cpu)
     began = process_time()
-    info, space = _space(limits, rules, start, goal)
+    info, space = space_within(limits, rules.free, start, goal)
     task = base.ProblemDefinition(info)
-    task.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    task.setStartAndGoalStates(state_of(space, start), state_of(space, goal))
     planner = geometric.RRTConnect(info)
     planner.setProblemDefinition(task)
     planner.setup()
@@ -127,7 +128,10 @@ def _goal(env: BatchEnv, where: Case, rules: Rules, start: Array) -> Array | Non
     return None
 
 
-def _space(limits: Array, rules: Rules, *inside: Array) -> tuple[Any, Any]:
+def space_within(limits: Array, free: Callable[[Array], bool], *inside: Array) -> tuple[Any, Any]:
+    """What is known about the joints, (n, 2) [rad], and their space, widened to hold some
+    configurations.
+    """
     n = len(limits)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
     for j in range(n):
@@ -141,14 +145,15 @@ def _space(limits: Array, rules: Rules, *inside: Array) -> tuple[Any, Any]:
     def valid(state: Any) -> bool:
         for j in range(n):
             scratch[j] = state[j]
-        return rules.free(scratch)
+        return free(scratch)
 
     info.setStateValidityChecker(valid)
     info.setup()
     return info, space
 
 
-def _state(space: Any, q: Array) -> Any:
+def state_of(space: Any, q: Array) -> Any:
+    """A configuration as OMPL has it."""
     state = space.allocState()
     for j, value in enumerate(q):
         state[j] = float(value)

@@ -165,7 +165,7 @@ def _theirs(tried: Tried, env: BatchEnv, index: int) -> None:
         tried.add(numbers, ran=None, nearest=math.inf, certified=False)
         return
     path = Timed.of(planned.points, env.task.speeds)
-    ran = chase(where.log, path, path.duration)
+    ran = chase(where.log, path.__call__, path.duration)
     numbers |= {"seconds": path.duration, "jerk": _jerk(path, path.duration, env)}
     tried.add(numbers, ran=ran, nearest=_nearest(env, ran), certified=False)
 

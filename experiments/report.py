@@ -56,6 +56,7 @@ def render(found: Tables) -> str:
         torso.section(found),
         planning.section(found),
         claims.section(found),
+        speed(found),
         figures(),
         recipe_list(found),
     ]
@@ -198,6 +199,29 @@ def scene_table(found: Tables, scene: str) -> str:
             )
         )
     return "\n".join(lines) + "\n"
+
+
+SPEED = """## Speed, before and after
+
+The tree before the rooms were built (commit 3a60418) and today's, on the same logs and in turns where that can be, processor time of one
+thread; *today* alone where the old benchmark cannot be run beside. Measured on two shared, overloaded cores: trust the ratios, and
+those to a tenth. `make bench` measures all rows but the first four anew.
+
+"""
+
+
+def speed(found: Tables) -> str:
+    """What the rows of the design's table cost."""
+    table = found.get("speed")
+    if table is None:
+        return ""
+    lines = cells.head("what", "unit", "before", "today", "today / before", "why")
+    for row in table["rows"]:
+        was, now = row.get("before"), row.get("today")
+        ratio = f"{now / was:.2f}" if was and now else "-"
+        texts = [f"{value:g}" if value else "not measured" for value in (was, now)]
+        lines.append(cells.line(row["what"], row["unit"], *texts, ratio, row.get("why", "")))
+    return SPEED + "\n".join(lines) + "\n"
 
 
 FIGURES = {

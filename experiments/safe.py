@@ -12,23 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import process_time
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from coordlog.contracts import Policy
 from coordlog.episode import Array
-from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.avoidance import farthest
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.replay import Log
 from coordlog.sim.tracking import Run
 from coordlog.smooth.execute import follow
-from coordlog.smooth.limits import Limits
-from coordlog.smooth.lineage import FASTER, fastest_of
+from coordlog.smooth.recorded import smooth_motion
 from coordlog.smooth.result import Result
-from coordlog.smooth.smoother import smooth
 from coordlog.tasks.reach.observation import nearness
 from experiments.case import ONE, Case, chase
 
@@ -169,32 +166,8 @@ def _safe(env: BatchEnv, where: Case, policy: Policy, *, physics: bool) -> Safe:
     rolled = physical(where, env, policy) if physics else kinematic(env, where, policy)
     cpu = {"rollout": process_time() - began}
     began = process_time()
-    task = env.task
-    checker = SceneChecker(
-        where.log.model,
-        task.robot,
-        task.config,
-        time=rolled.time,
-        qpos=rolled.qpos,
-        initial=where.log.start,
-    )
-    angles = rolled.qpos[:, task.qpos_index]
-    fastest = fastest_of(rolled.time, angles)
-    limits = Limits(
-        task.limits[:, 0],
-        task.limits[:, 1],
-        speed=FASTER * np.maximum(task.speeds, fastest),
-        nominal_speed=task.speeds,
-    )
-    # The checker is one by its methods: the simulation's room knows nothing of smoothing.
-    result = smooth(
-        rolled.time,
-        angles,
-        cast("Any", checker),
-        limits=limits,
-        joints=task.robot.action_joints,
-        ends="soft",
-        clearance=CLEARANCE,
+    result, _ = smooth_motion(
+        where.log, rolled.time, rolled.qpos, ends="soft", settings={"clearance": CLEARANCE}
     )
     cpu["smooth"] = process_time() - began
     return Safe(result, rolled, cpu)

@@ -78,9 +78,8 @@ def up(value: float, digits: int = 1) -> str:
 
 def _snapped(value: float, digits: int) -> float:
     scaled = value * 10**digits
-    return (
-        round(scaled) if abs(scaled - round(scaled)) < 1e-9 else scaled
-    )  # 0.3 * 10 is not 3 in binary
+    whole = float(round(scaled))
+    return whole if abs(scaled - whole) < 1e-9 else scaled  # 0.3 * 10 is not 3 in binary
 
 
 def _tenths(tenths: int) -> str:

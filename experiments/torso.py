@@ -39,7 +39,7 @@ def reaches(
     held = np.where(spine, start, np.nan) if locked else None
     if reach.solve(goals, held=held) is not None:
         return True
-    seeds = (rng.uniform(*env.task.limits.T) for _ in range(RESTARTS))
+    seeds = (np.asarray(rng.uniform(*env.task.limits.T)) for _ in range(RESTARTS))
     return any(reach.solve(goals, seed=seed, held=held) is not None for seed in seeds)
 
 

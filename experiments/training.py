@@ -11,6 +11,9 @@ from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS, surroundings
 
+SHORTEST = 1e-6
+"""A share so small that `loop.average` is an average over 1/τ updates, as runs kept at first."""
+
 
 def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
     """Updates, live steps and wall time [s] up to the policy that says this of itself, evaluations
@@ -45,12 +48,16 @@ def command(run: dict[str, Any]) -> str:
         words += [f"--updates {loop['updates']}"]
     words += [f"--steps {loop['steps']} --envs {run['envs']}"] if mode != "logs" else []
     named = {("loop", name) for name in ("updates", "steps", "seed")}
-    replay, settings = run["settings"]["replay"], dict(run["settings"])
+    replay = run["settings"]["replay"]
+    settings = {name: dict(section) for name, section in run["settings"].items()}
     if mode != "live":  # there was one share for logs and live steps at first
         settings["replay"] = {
             **replay,
             "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
         }
+    if "averaged" in loop:  # the target actor, whose average is the shortest there is, or the actor
+        averaged = settings["loop"].pop("averaged")
+        settings["loop"]["average"] = SHORTEST if averaged else 0.0
     for section, values in settings.items():
         usual = PRESETS[preset].asdict()[section]
         words += [

@@ -1,3 +1,7 @@
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: pytest-xdist has a process per core
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -5,8 +9,18 @@ from hypothesis import settings
 from coordlog.record.writer import write_episode
 from tests.synthetic import ATTACHMENTS, TINY, make_episode, make_header
 
-settings.register_profile("coordlog", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("coordlog", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("coordlog")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_core():
+    """One process of pytest-xdist has one core: what asks how many there are works right here, and
+    starts no processes of its own unless a test wants some.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: 1)
+        yield
 
 
 @pytest.fixture

@@ -140,7 +140,7 @@ def onto(local, kind, size):
         np.zeros(len(local)),
         np.full(len(local), size.max() * np.linalg.norm(local, axis=1).max(initial=1e-9)),
     )
-    for _ in range(60):  # Σ (size x / (t + size²))² = 1 has one root t ≥ 0 for a point outside
+    for _ in range(32):  # Σ (size x / (t + size²))² = 1 has one root t ≥ 0 for a point outside
         t = 0.5 * (low + high)
         far = ((size * local / (t[:, None] + size**2)) ** 2).sum(axis=1) > 1.0
         low, high = np.where(far, t, low), np.where(far, high, t)
@@ -151,7 +151,7 @@ def between(kind_a, size_a, a, kind_b, size_b, b):
     if kind_a in (SPHERE, CAPSULE):
         half = size_a[1] if kind_a == CAPSULE else 0.0
         low, high = np.full(len(a[0]), -half), np.full(len(a[0]), half)
-        for _ in range(50 if half else 1):
+        for _ in range(30 if half else 1):
             third = (high - low) / 3.0
             left, right = (
                 to_shape(a[0] + x[:, None] * a[1][:, :, 2], kind_b, size_b, *b)
@@ -177,8 +177,11 @@ def between(kind_a, size_a, a, kind_b, size_b, b):
         return between(kind_b, size_b, b, kind_a, size_a, a)
     point = b[0].copy()
     for _ in range(400):
+        before = point
         on_a = world(onto(np.einsum("nij,ni->nj", a[1], point - a[0]), kind_a, size_a), *a)
         point = world(onto(np.einsum("nij,ni->nj", b[1], on_a - b[0]), kind_b, size_b), *b)
+        if np.abs(point - before).max() < 1e-9:
+            break
     return np.linalg.norm(on_a - point, axis=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -23,10 +24,11 @@ class Said(NamedTuple):
     `cli.main` spans below everything."""
 
 
-def said(*args: object) -> Said:
-    """Run a command as `cli.main` does, but for its net."""
+def said(*args: object, cache: Path | None = None) -> Said:
+    """Run a command as `cli.main` does, but for its net; with a cache folder of its own."""
     words = [os.fspath(arg) if isinstance(arg, os.PathLike) else str(arg) for arg in args]
-    done = CliRunner().invoke(cli.app, words)
+    env = {} if cache is None else {"XDG_CACHE_HOME": str(cache)}
+    done = CliRunner().invoke(cli.app, words, env=env)
     error = done.exception
     if isinstance(error, CoordlogError):
         return Said(error.exit_code, done.stdout, f"{done.stderr}error: {error}\n", None)
@@ -37,9 +39,9 @@ def said(*args: object) -> Said:
     return Said(done.exit_code, done.stdout, done.stderr, None)
 
 
-def sound(*args: object, code: int = 0) -> Said:
+def sound(*args: object, code: int = 0, cache: Path | None = None) -> Said:
     """Run a command that must end with this exit code and no traceback."""
-    done = said(*args)
+    done = said(*args, cache=cache)
     if done.unforeseen is not None:
         raise done.unforeseen
     if done.exit_code != code:

@@ -20,6 +20,7 @@ from coordlog.episode import (
     Result,
 )
 from coordlog.errors import FormatError
+from coordlog.record.records import walk
 from coordlog.spec import REACH, SCHEMA_VERSION, Layout
 
 HUMANOID = Layout(n_q=34, n_v=33, n_x=25, n_u=13, k=2, n_c=19)
@@ -231,6 +232,18 @@ def assert_same(a, b):
     if a.path is not None:
         for name in vars(a.path):
             assert getattr(a.path, name).tobytes() == getattr(b.path, name).tobytes(), name
+
+
+def telling(data, *, edge=16, within=13):
+    """Places to damage, or to cut at, one by one: all that are near the ends of a record, where
+    lengths and CRCs are, and every thirteenth of what lies between and is of one kind.
+    """
+    found = set(range(16)) | set(range(len(data) - 64, len(data)))
+    for span in walk(data):
+        found.update(range(span.start - 9, min(span.start + edge, span.end)))
+        found.update(range(max(span.end - edge, span.start), span.end))
+        found.update(range(span.start, span.end, within))
+    return sorted(found)
 
 
 def outcome(call, *args):

@@ -13,13 +13,14 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "coordlog"
 FLOORS = (
     {"version", "verbs"},
-    {"errors"},
+    {"errors", "monitor"},
     {"strangers", "conditions"},
     {"modest"},
     {"spec"},
     {"episode", "path"},
     {"contracts"},
     {"parallel"},
+    {"crew"},
     {"config"},
     {"robots"},
     {"tasks"},
@@ -29,8 +30,8 @@ FLOORS = (
     {"policies", "record"},
     {"verify"},
     {"catalog", "exchange", "train", "smooth", "view"},
-    {"commands"},
     {"api"},
+    {"commands"},
     {"cli"},
 )
 """From the ground up: a room may import rooms before it; those on one floor none of one another."""

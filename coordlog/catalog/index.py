@@ -13,10 +13,10 @@ import io
 import os
 import re
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,10 +32,12 @@ from coordlog.record.places import Entry, Folder, Place
 from coordlog.record.store import Store, store_of
 
 FOLDER = ".catalog"
-EDITION = "1"
+EDITION = "2"
 """Files of another edition are described anew."""
 GROUP = 64
 """Files that one process describes before it answers."""
+MOST_PARTS = 32
+"""A catalogue of more files than this is merged into one."""
 
 _NAME = re.compile(r"^part-(\d{6,})-[0-9a-f]{8}\.parquet$")
 
@@ -43,6 +45,8 @@ Run = Callable[
     [Callable[[Job], list[dict[str, Any]]], Sequence[Job]], Iterable[list[dict[str, Any]]]
 ]
 """Maps a function over jobs, on as many processes as it likes."""
+Stamp = tuple[int, int]
+"""Size and mtime [ns]."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,10 @@ class Catalog:
 
     def source(self) -> pa.Table | Path:
         """The rows for a query that looks at a few columns: a table, or the file of a compact
-        catalogue of this machine.
+        catalogue of this machine that nobody has read yet.
         """
+        if self._rows is not None:
+            return self._rows
         parts = self.parts()
         if len(parts) == 1 and isinstance(self._place, Folder):
             path = self._place.path / parts[0]
@@ -134,25 +140,41 @@ class Catalog:
         names = [entry.name for entry in self._place.entries(FOLDER)]
         return sorted(name for name in names if _NAME.match(name.split("/")[-1]))
 
-    def refresh(self, *, run: Run = serial) -> Change:
+    def refresh(
+        self, entries: Iterable[Entry] | None = None, *, run: Run = serial, always: bool = True
+    ) -> Change:
         """Look at the size and time of every file, and describe what is new or changed.
+
+        Args:
+            entries: All files that there are, where the caller has looked.
+            run: Maps over groups of files.
+            always: Keep what was found; False begins no catalogue for a few files: who only looks
+                leaves nothing behind.
 
         Raises:
             StorageError: if the files cannot be listed.
         """
-        listed = {entry.name: entry for entry in self.store.list()}
-        rows = self.rows()
-        columns = (rows.column(name).to_pylist() for name in ("path", "size", "mtime"))
-        known = {path: (size, mtime) for path, size, mtime in zip(*columns, strict=True)}
-        fresh = [
-            each for each in listed.values() if known.get(each.name) != (each.size, each.mtime)
-        ]
+        found = self.store.list() if entries is None else entries
+        listed = {entry.name: entry for entry in found}
+        known = self._known()
+        fresh = _others(listed.values(), known)
         gone = [name for name in known if name not in listed]
         changed = sum(entry.name in known for entry in fresh)
-        self._describe(fresh, gone, run=run)
+        keep = always or len(fresh) > GROUP or bool(self.parts())
+        self._describe(fresh, gone, run=run, keep=keep)
         change = Change(len(fresh) - changed, changed, len(gone), tuple(self._notes))
         self._notes = []
         return change
+
+    def add(self, entries: Iterable[Entry], *, run: Run = serial) -> None:
+        """Describe some files, such as those just written, and look at no others."""
+        self._describe(_others(entries, self._known()), [], run=run)
+
+    def of(self, entries: Sequence[Entry], *, run: Run = serial) -> pa.Table:
+        """The rows of some files, described first where that is needed; `KEPT`."""
+        self.add(entries, run=run)
+        names = pa.array([each.name for each in entries], pa.string())
+        return self.rows().filter(pc.is_in(self.rows().column("path"), value_set=names))
 
     def verify(self) -> list[Mismatch]:
         """Hash every file; rows of those with other bytes are described anew."""
@@ -172,9 +194,9 @@ class Catalog:
         Raises:
             StorageError: if the catalogue cannot be written.
         """
-        parts, rows = self.parts(), self.rows()
+        parts = self.parts()
         if len(parts) > 1:
-            self._write(rows)
+            self._write(newest(self._read(name) for name in parts))
             for name in parts:
                 self._place.remove(name)
 
@@ -185,20 +207,47 @@ class Catalog:
         self._rows = None
         return self.refresh(run=run)
 
-    def _describe(self, fresh: Sequence[Entry], gone: Sequence[str], *, run: Run) -> None:
+    def _describe(
+        self, fresh: Sequence[Entry], gone: Sequence[str], *, run: Run, keep: bool = True
+    ) -> None:
         if not fresh and not gone:
             return
-        jobs = [Job(self.root, tuple(group)) for group in batches(fresh, GROUP)]
+        below = self._described_below(fresh)
+        rest = _others(fresh, _stamps(below))
+        jobs = [Job(self.root, tuple(group)) for group in batches(rest, GROUP)]
         found = table_of(row for rows in run(described, jobs) for row in rows)
-        added = pa.concat_tables([found, tombstones(gone)]).sort_by("path")
+        added = pa.concat_tables([below, found, tombstones(gone)]).sort_by("path")
         self._rows = newest([self.rows(), added])
+        if not keep:
+            return
         try:
             self._write(added)
             for name in self._broken:
                 self._place.remove(name)
             self._broken = []
+            if len(self.parts()) > MOST_PARTS:
+                self.compact()
         except StorageError as error:
             self._notes.append(f"the catalogue is not kept: {error}")
+
+    def _described_below(self, fresh: Sequence[Entry]) -> pa.Table:
+        """Rows that the catalogues of folders within this one have of some files."""
+        if not isinstance(self._place, Folder):
+            return KEPT.empty_table()
+        folders = {str(folder) for each in fresh for folder in PurePosixPath(each.name).parents}
+        wanted = {each.name: (each.size, each.mtime) for each in fresh}
+        tables = [KEPT.empty_table()]
+        for folder in sorted(folders - {"."}):
+            if (self._place.path / folder / FOLDER).is_dir():
+                rows = Catalog(self._place.path / folder).rows()
+                names = [f"{folder}/{name}" for name in rows.column("path").to_pylist()]
+                rows = rows.set_column(0, KEPT.field("path"), pa.array(names, pa.string()))
+                same = [wanted.get(name) == stamp for name, stamp in _stamps(rows).items()]
+                tables.append(rows.filter(pa.array(same, pa.bool_())))
+        return newest(tables)
+
+    def _known(self) -> dict[str, Stamp]:
+        return _stamps(self.rows())
 
     def _write(self, rows: pa.Table) -> None:
         """Write one more file of the catalogue."""
@@ -225,6 +274,17 @@ class Catalog:
             )
             self._broken.append(name)
             return KEPT.empty_table()
+
+
+def _stamps(rows: pa.Table) -> dict[str, Stamp]:
+    """Size and mtime of each file as the rows have them."""
+    columns = (rows.column(name).to_pylist() for name in ("path", "size", "mtime"))
+    return {path: (size, mtime) for path, size, mtime in zip(*columns, strict=True)}
+
+
+def _others(entries: Iterable[Entry], known: Mapping[str, Stamp]) -> list[Entry]:
+    """Those of another size or time than is known."""
+    return [each for each in entries if known.get(each.name) != (each.size, each.mtime)]
 
 
 def newest(parts: Iterable[pa.Table]) -> pa.Table:

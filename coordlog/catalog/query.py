@@ -21,6 +21,10 @@ from coordlog.record.dataset import open as open_logs
 
 EXTRA = ("part", "label")
 """Columns that manifests add."""
+WORKED_OUT = {"file": "parse_filename(path)", "return_sum": "list_sum(returns)"}
+"""Columns that are made of others, in SQL."""
+PATHS = "select path from episodes"
+"""The question of who looks for files."""
 GROUP = 32
 """Files that are decoded together for `steps`."""
 
@@ -29,6 +33,10 @@ _CONFIG: dict[str, Any] = {
     "autoinstall_known_extensions": "false",
     "python_enable_replacements": "false",
 }
+
+
+OFFERED = (*COLUMNS.names, *WORKED_OUT, *EXTRA)
+"""Every column of the view `episodes`."""
 
 
 class Source(NamedTuple):
@@ -75,9 +83,9 @@ def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = F
         except duckdb.Error as error:
             if stream is not None and stream.error is not None:
                 raise stream.error from None
-            names = ", ".join([*COLUMNS.names, *EXTRA])
+            names, what = ", ".join(OFFERED), "--where" if sql == PATHS else "SQL"
             raise ConfigError(
-                f"SQL: {_said(error)}; the view episodes has the columns {names}"
+                f"{what}: {_said(error)}; the view episodes has the columns {names}"
                 + ("" if steps else "; --steps offers the view steps")
             ) from None
 
@@ -121,18 +129,28 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
         sound = "where error is null and gone is null" if "error" in names else ""
         selects.append(f"select {', '.join(columns)} from {text} {sound}")
     whole = " union all ".join(selects)
-    condition = f"where ({where}\n)" if where else ""
-    text = f"select * from ({whole}) {condition}"
+    more = ", ".join(f"{how} as {name}" for name, how in WORKED_OUT.items())
+    whole = f"select *, {more} from ({whole})"
+    connection.execute(f"create view episodes as {whole}")
     if where:
-        try:
-            require_condition(connection, where)
-        except ValueError as error:
-            raise ConfigError(
-                f"--where: expected an SQL condition; {str(error).splitlines()[0]}"
-            ) from None
+        require_condition(connection, where)
+        whole = f"select * from ({whole}) where ({where}\n)"
     connection.execute(
-        f"create view episodes as select row_number() over () - 1 as row, * from ({text})"
+        f"create or replace view episodes as select row_number() over () - 1 as row, * from ({whole})"
     )
+
+
+def _require_where(connection: Any, where: str, episodes: str) -> None:
+    """Hold what stands after --where to one condition over the columns of the view."""
+    import duckdb
+
+    try:
+        require_condition(connection, where)
+        connection.sql(f"select * from ({episodes}) where ({where}\n)")  # binds the names
+    except (duckdb.Error, ValueError) as error:
+        raise ConfigError(
+            f"--where: expected an SQL condition over {', '.join(OFFERED)}; {_said(error)}"
+        ) from None
 
 
 def _quoted(text: str) -> str:
@@ -142,7 +160,7 @@ def _quoted(text: str) -> str:
 
 def _said(error: Exception) -> str:
     """The first line of what DuckDB said."""
-    return str(error).splitlines()[0]
+    return (str(error).splitlines() or ["it cannot be parsed"])[0]
 
 
 class StepStream:

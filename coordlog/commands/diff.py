@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, json_flag
 from coordlog.errors import EXIT_CHECK_FAILED
-from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     from coordlog.catalog.selection import Difference
@@ -23,8 +22,8 @@ MANY = 20
 def diff(
     a: Annotated[Path, typer.Argument(help="A folder, pack, store, manifest or file.")],
     b: Annotated[Path, typer.Argument(help="Another one.")],
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the difference as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("the difference")] = False,
 ) -> None:
     """Compare two sets of episodes: which are in one alone, other settings, other figures.
 
@@ -36,9 +35,12 @@ def diff(
 
         coordlog diff logs/ PACK/
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.selection import difference
 
-    found = difference(gathered([a], jobs=jobs), gathered([b], jobs=jobs))
+    watcher = terminal.Watcher()
+    one, other = (gathered([each], jobs=jobs, monitor=watcher) for each in (a, b))
+    found = difference(one, other)
     if as_json:
         terminal.print_json(asdict(found))
     else:

@@ -28,6 +28,7 @@ def record_environment(
         ConfigError: if there is no such environment, or it is not on MuJoCo.
         SimulationError: at the first step that cannot be replayed.
     """
+    from coordlog.catalog.asking import catalogued
     from coordlog.policies.foreign import load
     from coordlog.record.foreign import record_env
 
@@ -63,6 +64,7 @@ def record_environment(
                 f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: {error}"
             ) from error
     seconds = time.perf_counter() - began
+    catalogued(out, recorder.files)
     summary = {
         "run": recorder.run,
         "episodes": len(recorder.files),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import flag, json_flag
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 
 if TYPE_CHECKING:
@@ -35,9 +36,7 @@ def import_(
         Path | None,
         typer.Option(help="Joint names, scales and offsets, in TOML.", metavar="MAP.toml"),
     ] = None,
-    inspect: Annotated[
-        bool, typer.Option("--inspect", help="Show what is understood; write nothing.")
-    ] = False,
+    inspect: Annotated[bool, flag("--inspect", "Show what is understood; write nothing.")] = False,
     topic: Annotated[str, typer.Option(help="Topic of a bag or MCAP.")] = "",
     stamps: Annotated[
         str, typer.Option(help="Clock of a bag: header or log; by default header.")
@@ -67,7 +66,7 @@ def import_(
         float, typer.Option(min=0, help="Samples a second, where there is no clock.", metavar="HZ")
     ] = 0.0,
     degrees: Annotated[
-        bool, typer.Option("--degrees", help="Angles are in degrees: turn them into radians.")
+        bool, flag("--degrees", "Angles are in degrees: turn them into radians.")
     ] = False,
     gap: Annotated[
         float | None,
@@ -77,7 +76,7 @@ def import_(
         str, typer.Option(help="Begin an episode at every message on this topic.")
     ] = "",
     split_clock: Annotated[
-        bool, typer.Option("--split-clock", help="Begin an episode where time steps back.")
+        bool, flag("--split-clock", "Begin an episode where time steps back.")
     ] = False,
     resample: Annotated[
         float,
@@ -85,10 +84,8 @@ def import_(
             min=0, help="Even samples, by straight lines; said in the lineage.", metavar="HZ"
         ),
     ] = 0.0,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write episodes that are there again.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    force: Annotated[bool, flag("--force", "Write episodes that are there again.")] = False,
+    as_json: Annotated[bool, json_flag("the report")] = False,
 ) -> None:
     """Turn recordings of other programs into observed episodes: seen, not simulated.
 
@@ -190,6 +187,7 @@ def _import(
     force: bool,
     as_json: bool,
 ) -> None:
+    from coordlog.catalog.asking import catalogued
     from coordlog.exchange.importing import import_source
 
     done: list[Imported] = []
@@ -200,6 +198,7 @@ def _import(
             bar.update(task, advance=1, note=f"{sum(len(each.paths) for each in done)} episodes")
             if interrupted:
                 break
+    catalogued(out, [path for each in done for path in each.paths])
     if as_json:
         terminal.print_json([_report(each) for each in done])
     else:

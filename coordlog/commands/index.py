@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL
-from coordlog.parallel import JOBS_HELP, mapped
+from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.catalog.index import Change, Mismatch
@@ -24,15 +25,13 @@ def index(
     path: Annotated[
         list[Path], typer.Argument(help="Folders, packs, or addresses such as s3://BUCKET/PREFIX.")
     ],
-    compact: Annotated[
-        bool, typer.Option("--compact", help="Merge the catalogue's files into one.")
-    ] = False,
-    rebuild: Annotated[bool, typer.Option("--rebuild", help="Describe every file anew.")] = False,
+    compact: Annotated[bool, flag("--compact", "Merge the catalogue's files into one.")] = False,
+    rebuild: Annotated[bool, flag("--rebuild", "Describe every file anew.")] = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Hash every file, whatever its size and time say.")
+        bool, flag("--verify", "Hash every file, whatever its size and time say.")
     ] = False,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what was found")] = False,
 ) -> None:
     """Bring the catalogue of a folder up to date: a row per episode, for `query` and `select`.
 

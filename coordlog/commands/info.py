@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import Files, Jobs, json_flag
 from coordlog.errors import EXIT_PARTIAL, FormatError
 
 if TYPE_CHECKING:
-    from coordlog.record.info import Row, Summary
+    from coordlog.catalog.summary import Row, Summary
 
 MANY = 40
 """Longer tables are shortened unless --all asks for every row."""
 
 
 def info(
-    path: Annotated[
-        list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")
-    ],
+    path: Files,
     every: Annotated[
         bool,
         typer.Option("--all", help=f"Every episode, however many; otherwise the first {MANY}."),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print rows and totals as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("rows and totals")] = False,
 ) -> None:
-    """Show what episodes there are; reads the ends of each file, not its messages.
+    """Show what episodes there are: new and changed files are read, the catalogue knows the others.
 
     Examples:
 
@@ -36,10 +36,11 @@ def info(
 
         coordlog info logs/table-train-s0-000003-1f2e3d4c.mcap --json
     """
+    from coordlog.catalog.asking import gathered
+    from coordlog.catalog.summary import summary as summed
     from coordlog.record.files import Files, nothing_found
-    from coordlog.record.info import summarise
 
-    summary = summarise(path)
+    summary = summed(gathered(path, jobs=jobs, monitor=terminal.Watcher(), tell=False))
     if not summary.rows:
         if len(path) == 1 and [item.path for item in summary.skipped] == path:
             raise FormatError(f"{path[0]}: {summary.skipped[0].reason}")

@@ -9,8 +9,9 @@ from typing import Annotated, NamedTuple
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import Files, Jobs, json_flag
 from coordlog.errors import EXIT_PARTIAL, CoordlogError, StorageError
-from coordlog.parallel import JOBS_HELP, mapped
+from coordlog.parallel import mapped
 
 
 class Done(NamedTuple):
@@ -24,14 +25,10 @@ class Done(NamedTuple):
 
 
 def migrate(
-    path: Annotated[
-        list[Path], typer.Argument(help="Files, or folders that are searched at any depth.")
-    ],
+    path: Files,
     out: Annotated[Path, typer.Option(help="Folder of the new files; the old ones stay.")],
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what became of each as JSON.")
-    ] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what became of each")] = False,
 ) -> None:
     """Write episodes of an older schema version as new files of the present one.
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, Shard, json_flag
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL
-from coordlog.parallel import JOBS_HELP, SHARD_HELP
 from coordlog.parallel import shard as share
 
 if TYPE_CHECKING:
@@ -26,12 +25,12 @@ def pack(
     size: Annotated[
         int, typer.Option(min=1, help="Megabytes after which the next shard is begun.")
     ] = 256,
-    shard: Annotated[str, typer.Option(help=SHARD_HELP, metavar="I/N")] = "",
+    shard: Shard = "",
     catalogue: Annotated[
         bool, typer.Option("--index/--no-index", help="Bring the pack's catalogue up to date.")
     ] = True,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was packed as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what was packed")] = False,
 ) -> None:
     """Put whole episode files into large tar archives that every command reads like a folder.
 
@@ -44,6 +43,7 @@ def pack(
 
         coordlog check PACK/
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.packing import pack_files
     from coordlog.record.places import require_folder
 
@@ -60,7 +60,8 @@ def pack(
             stop=lambda: bool(interrupted),
         )
     if catalogue and not interrupted:
-        left_out += [f"skipped: {each}" for each in gathered([out], jobs=jobs).left_out]
+        found = gathered([out], jobs=jobs, monitor=terminal.Watcher(), tell=False)
+        left_out += [f"skipped: {path}: {why}" for path, why in found.skipped]
     _tell(done, f"{out}: {done.files:,} episodes packed", as_json=as_json)
     _finish(bool(interrupted), left_out)
 
@@ -68,9 +69,7 @@ def pack(
 def unpack(
     path: Annotated[list[Path], typer.Argument(help="Packs, or addresses of their shards.")],
     out: Annotated[Path, typer.Option(help="Folder for the files; nothing in it is replaced.")],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what was unpacked as JSON.")
-    ] = False,
+    as_json: Annotated[bool, json_flag("what was unpacked")] = False,
 ) -> None:
     """Give the episode files of packs back, byte for byte; also copies stores into a folder.
 

@@ -8,29 +8,28 @@ from typing import Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import flag
 from coordlog.errors import ConfigError, SpecError
+
+Drawn = Annotated[
+    list[Path],
+    typer.Argument(help="An episode file, more of the same robot pale behind it; or run folders."),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="File to write: .png, .pdf or .svg; by default joints.png or curves.png."),
+]
+Against = Annotated[
+    str,
+    typer.Option(help="Of runs: episodes, updates or steps; by default episodes if all are live."),
+]
 
 
 def plot(
-    path: Annotated[
-        list[Path],
-        typer.Argument(
-            help="An episode file, more of the same robot pale behind it; or run folders."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write: .png, .pdf or .svg; by default joints.png or curves.png."
-        ),
-    ] = None,
-    against: Annotated[
-        str,
-        typer.Option(
-            help="Of runs: episodes, updates or steps; by default episodes if all are live."
-        ),
-    ] = "",
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    path: Drawn,
+    out: Out = None,
+    against: Against = "",
+    force: Annotated[bool, flag("--force", "Replace the file if it exists.")] = False,
 ) -> None:
     """Draw an episode, or how runs learnt.
 
@@ -79,7 +78,7 @@ def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> Non
             raise ConfigError(
                 f"{folder}: expected an episode file or a run folder, got a folder without run.json; name one file or run in it"
             )
-    from coordlog.commands.curves import draw_curves
+    from coordlog.api.curves import draw_curves
 
     draw_curves(folders, out, against=against, force=force)
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,8 +28,7 @@ def query(
         typer.Argument(help="Folders, packs, stores, manifests or files; by default logs."),
     ] = None,
     steps: Annotated[
-        bool,
-        typer.Option("--steps", help="Offer the view steps, too; steps.episode = episodes.row."),
+        bool, flag("--steps", "Offer the view steps, too; steps.episode = episodes.row.")
     ] = False,
     where: Annotated[
         str, typer.Option(help="Restrict both views to the episodes that satisfy this SQL.")
@@ -44,8 +42,8 @@ def query(
     scan: Annotated[
         bool, typer.Option(help="Look at the files first; --no-scan believes the catalogue.")
     ] = True,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[bool, typer.Option("--json", help="Print every row as JSON.")] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("every row")] = False,
 ) -> None:
     """Ask the catalogue; read-only, with no access to other files.
 
@@ -60,11 +58,12 @@ def query(
 
         coordlog query "select max(abs(qvel[7])) from steps" logs/ --steps --where "scene = 'table'"
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.query import ask
 
     if out is not None and out.suffix not in FORMATS:
         raise ConfigError(f"--out: expected a name that ends in {', '.join(FORMATS)}, got {out}")
-    found = gathered(path or [Path("logs")], scan=scan, jobs=jobs)
+    found = gathered(path or [Path("logs")], scan=scan, jobs=jobs, monitor=terminal.Watcher())
     table = ask(sql, found.sources, where=where, steps=steps)
     if out is not None:
         _write(table, out)
@@ -73,7 +72,7 @@ def query(
         terminal.print_json(_rows(table))
     else:
         _show(table)
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)
 
 

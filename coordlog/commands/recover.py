@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import flag, json_flag
 from coordlog.errors import EXIT_BAD_INPUT, EXIT_PARTIAL, CoordlogError, FormatError, TruncatedError
 
 
@@ -38,12 +39,9 @@ def recover(
         typer.Option(help="Name of the episode, for a single file; by default beside it."),
     ] = None,
     discard_empty: Annotated[
-        bool,
-        typer.Option("--discard-empty", help="Delete part files that hold no step to recover."),
+        bool, flag("--discard-empty", "Delete part files that hold no step to recover.")
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what was recovered as JSON.")
-    ] = False,
+    as_json: Annotated[bool, json_flag("what was recovered")] = False,
 ) -> None:
     """Make a valid episode, marked as aborted, of everything complete in unfinished or damaged
     files.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import json_flag
 from coordlog.errors import EXIT_CHECK_FAILED, ConfigError, StorageError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def robot(
     ] = False,
     draws: Annotated[int, typer.Option(min=1, help="Problems to draw for the report.")] = 30,
     force: Annotated[bool, typer.Option(help="Replace a card that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    as_json: Annotated[bool, json_flag("the report")] = False,
 ) -> None:
     """Read a robot's model and write its card: a TOML file to edit, and to record with.
 

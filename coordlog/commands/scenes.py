@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from coordlog.commands import terminal
+from coordlog.commands.options import flag
 from coordlog.errors import StorageError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def scenes(
     picture: Annotated[
         Path | None, typer.Option(help="Render every scene to DIR/NAME.png instead.", metavar="DIR")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: Annotated[bool, flag("--json", "Print as JSON.")] = False,
 ) -> None:
     """List the scenes and their numbers, or render them.
 

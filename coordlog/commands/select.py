@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.asking import gathered
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
-from coordlog.parallel import JOBS_HELP
 
 
 def select(
@@ -36,13 +35,10 @@ def select(
     seed: Annotated[int, typer.Option(help="Another seed divides otherwise.")] = 0,
     label: Annotated[str | None, typer.Option(help="A label for all of them.")] = None,
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Write the next version; the one before stays, NAME@HASH."),
+        bool, flag("--force", "Write the next version; the one before stays, NAME@HASH.")
     ] = False,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what was selected as JSON.")
-    ] = False,
+    jobs: Jobs = "0",
+    as_json: Annotated[bool, json_flag("what was selected")] = False,
 ) -> None:
     """List episodes by the sha256 of their files: drop, merge, divide, relabel without touching one.
 
@@ -57,6 +53,7 @@ def select(
 
         coordlog train --from clean.manifest:train
     """
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.selection import Split
     from coordlog.catalog.selection import select as chosen
     from coordlog.record import manifest
@@ -64,7 +61,7 @@ def select(
     if out.suffix != manifest.SUFFIX:
         raise ConfigError(f"--out: expected a name that ends in {manifest.SUFFIX}, got {out}")
     how = Split.parse(split, by=by, seed=seed) if split else None
-    found = gathered(path, jobs=jobs)
+    found = gathered(path, jobs=jobs, monitor=terminal.Watcher())
     lists = [manifest.read(each) for each in minus or []]
     made = chosen(found, where=where, minus=lists, unique=unique, split=how, label=label, out=out)
     if not made.chosen:
@@ -88,5 +85,5 @@ def select(
             highlight=False,
             markup=False,
         )
-    if found.left_out:
+    if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)

@@ -3,70 +3,62 @@
 from __future__ import annotations
 
 import json
-import time
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from coordlog.commands import terminal
-from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
-from coordlog.parallel import JOBS_HELP, SHARD_HELP
-from coordlog.parallel import shard as share
+from coordlog.commands.options import Episodes, Jobs, Shard, flag, json_flag
+from coordlog.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_PARTIAL, StorageError
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
-    from coordlog.smooth.batch import Batch
 
 SAID = 20
 """Reasons that are printed; the report has all."""
 
 
+Out = Annotated[Path, typer.Option(help="Folder for the smoothed episodes, laid out as the input.")]
+Method = Annotated[
+    str, typer.Option(help="local, shared, or paper (joint by joint, the knots alone deciding).")
+]
+Cutoff = Annotated[
+    float | None,
+    typer.Option(help="Lowest cut-off; without it, as smooth as the rules allow.", metavar="HZ"),
+]
+MaxDeviation = Annotated[
+    float | None,
+    typer.Option(help="Farthest a joint may go from the log: rad, m for slides.", metavar="RAD"),
+]
+Clearance = Annotated[
+    float, typer.Option(help="Distance to keep from the scene and from other limbs.", metavar="M")
+]
+Report = Annotated[
+    Path | None,
+    typer.Option(help="Write every figure of every episode to this JSON file.", metavar="FILE"),
+]
+DryRun = Annotated[
+    bool, flag("--dry-run", "Smooth and execute, show the figures, write no episode.")
+]
+Force = Annotated[
+    bool, flag("--force", "Replace outputs made with other settings or from other files.")
+]
+
+
 def smooth(
-    path: Annotated[
-        list[Path], typer.Argument(help="Episode files, or folders that are searched at any depth.")
-    ],
-    out: Annotated[
-        Path, typer.Option(help="Folder for the smoothed episodes, laid out as the input.")
-    ],
-    method: Annotated[
-        str,
-        typer.Option(help="local, shared, or paper (joint by joint, the knots alone deciding)."),
-    ] = "local",
-    cutoff: Annotated[
-        float | None,
-        typer.Option(
-            help="Lowest cut-off; without it, as smooth as the rules allow.", metavar="HZ"
-        ),
-    ] = None,
-    max_deviation: Annotated[
-        float | None,
-        typer.Option(
-            help="Farthest a joint may go from the log: rad, m for slides.", metavar="RAD"
-        ),
-    ] = None,
-    clearance: Annotated[
-        float,
-        typer.Option(help="Distance to keep from the scene and from other limbs.", metavar="M"),
-    ] = 0.005,
-    report: Annotated[
-        Path | None,
-        typer.Option(help="Write every figure of every episode to this JSON file.", metavar="FILE"),
-    ] = None,
-    jobs: Annotated[str, typer.Option(help=JOBS_HELP)] = "0",
-    shard: Annotated[str, typer.Option(help=SHARD_HELP, metavar="I/N")] = "",
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Smooth and execute, show the figures, write no episode."),
-    ] = False,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force", help="Replace outputs made with other settings or from other files."
-        ),
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    path: Episodes,
+    out: Out,
+    method: Method = "local",
+    cutoff: Cutoff = None,
+    max_deviation: MaxDeviation = None,
+    clearance: Clearance = 0.005,
+    report: Report = None,
+    jobs: Jobs = "0",
+    shard: Shard = "",
+    dry_run: DryRun = False,
+    force: Force = False,
+    as_json: Annotated[bool, json_flag("the report")] = False,
 ) -> None:
     """Smooth the joint paths of recorded episodes, execute them in the simulation, and record that
     as episodes.
@@ -75,7 +67,8 @@ def smooth(
     where it is proven and no worse than the log; otherwise the log's own steps and the reason. The
     logs are never touched. Outputs that are there are not made again.
 
-    Exit code 3 if an episode kept its own steps or an input could not be used; each is named.
+    Exit code 3 if an episode kept its own steps or an input could not be used, each is named; 2 if
+    none could.
 
     Examples:
 
@@ -83,8 +76,10 @@ def smooth(
 
         coordlog smooth logs/ --out smoothed/ --cutoff 2 --clearance 0.01 --report report.json
     """
+    from coordlog.catalog.asking import catalogued
     from coordlog.record.places import require_folder
-    from coordlog.smooth.batch import SKIPPED, plan, summary
+    from coordlog.smooth.batch import smooth_logs
+    from coordlog.smooth.report import SKIPPED
 
     require_folder(out)
     settings = {
@@ -98,48 +93,28 @@ def smooth(
             f"{report}: the file exists and is not overwritten; "
             "choose another name, or pass --force"
         )
-    batch = plan(path, out, settings, write=not dry_run, force=force)
-    batch = batch._replace(jobs=list(share(batch.jobs, shard)))
-    began = time.perf_counter()
-    rows, interrupted = _rows(batch, jobs)
-    found = summary(rows, batch, settings, seconds=time.perf_counter() - began)
+    how: Json = {"write": not dry_run, "force": force, "share": shard, "processes": jobs}
+    with terminal.interruptible() as monitor:
+        found = smooth_logs(path, out, settings, **how, monitor=monitor)
+    if not dry_run:
+        catalogued(out, [Path(row["target"]) for row in found["rows"]])
     if report is not None:
         _write_report(report, found)
     if as_json:
         terminal.print_json(found)
     else:
         _show(found, out=None if dry_run else out)
-    if interrupted:
+    if monitor.stopped:
         terminal.note(
-            f"interrupted after {len(rows)} of {len(batch.jobs)} episodes; "
+            f"interrupted after {found['episodes']} of {found['wanted']} episodes; "
             "the same command goes on where it stopped"
         )
         raise typer.Exit(EXIT_INTERRUPTED)
-    kept = [row for row in rows if row["parameters"].get("steps_of", "log") == "log"]
-    if (
-        batch.files.parts
-        or batch.files.skipped
-        or kept
-        or any(row["status"] == SKIPPED for row in rows)
-    ):
+    if found["rows"] and all(row["status"] == SKIPPED for row in found["rows"]):
+        raise typer.Exit(EXIT_BAD_INPUT)
+    kept = [row for row in found["rows"] if row["parameters"].get("steps_of", "log") == "log"]
+    if found["unfinished"] or found["skipped"] or kept:
         raise typer.Exit(EXIT_PARTIAL)
-
-
-def _rows(batch: Batch, jobs: str) -> tuple[list[Json], bool]:
-    """Rows of the report, with a progress bar, and whether Ctrl-C stopped it."""
-    from coordlog.smooth.batch import STATUSES
-
-    rows: list[Json] = []
-    with terminal.progress() as bar, terminal.interruptible() as interrupted:
-        task = bar.add_task("smoothing", total=len(batch.jobs), note="")
-        for row in batch.run(processes=jobs):
-            rows.append(row)
-            counts = Counter(each["status"] for each in rows)
-            note = ", ".join(f"{counts[name]} {name}" for name in STATUSES if counts[name])
-            bar.update(task, advance=1, note=note)
-            if interrupted:
-                break
-        return rows, bool(interrupted)
 
 
 def _write_report(report: Path, summary: Json) -> None:
@@ -184,7 +159,7 @@ def _show(summary: Json, *, out: Path | None) -> None:
 
 def _name_reasons(summary: Json) -> None:
     """What was not simply smoothed, each with its reason, the first twenty."""
-    from coordlog.smooth.batch import SKIPPED
+    from coordlog.smooth.report import SKIPPED
 
     named = [row for row in summary["rows"] if row["reason"]]
     for row in named[:SAID]:

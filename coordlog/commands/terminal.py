@@ -25,12 +25,15 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     SpinnerColumn,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
 )
 from rich.table import Table
 from rich.text import Text
+
+from coordlog import monitor
 
 PIPED_WIDTH = 180
 """Columns where the output is no terminal: a file or a pager does not wrap."""
@@ -203,34 +206,66 @@ def progress() -> Progress:
     )
 
 
-class Interruption:
-    """Whether Ctrl-C (or a polite kill) was received; true from then on."""
+class _Bar(monitor.Progress):
+    """A bar of its own for one piece of work."""
+
+    def __init__(self, bars: Progress, task: TaskID) -> None:
+        super().__init__()
+        self._bars, self._task = bars, task
+
+    def update(self, done: float, note: str | None = None) -> None:
+        """Draw it."""
+        super().update(done)
+        fields: dict[str, Any] = {} if note is None else {"note": note}
+        self._bars.update(self._task, completed=done, **fields)
+
+
+class Watcher(monitor.Monitor):
+    """Draws bars and prints notes; within `interruptible`, Ctrl-C (or a polite kill) asks to stop.
+
+    True from then on.
+    """
 
     def __init__(self) -> None:
-        self.received = False
+        self._received = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody asked to stop."""
+        return self._received
 
     def __bool__(self) -> bool:
-        return self.received
+        return self._received
+
+    def note(self, text: str) -> None:
+        """Print it."""
+        note(text)
+
+    @contextmanager
+    def progress(self, what: str, total: float | None) -> Iterator[monitor.Progress]:
+        """Draw a bar."""
+        with progress() as bars:
+            yield _Bar(bars, bars.add_task(shown(what), total=total, note=""))
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        if self.received:
+        if self._received:
             raise KeyboardInterrupt
-        self.received = True
+        self._received = True
 
 
 @contextmanager
-def interruptible() -> Iterator[Interruption]:
+def interruptible() -> Iterator[Watcher]:
     """Let the first Ctrl-C be a flag that the loop looks at between two steps.
 
     The second interrupts at once.
     """
-    interruption = Interruption()
+    watcher = Watcher()
     before = {
-        number: signal.signal(number, interruption._receive)
+        number: signal.signal(number, watcher._receive)
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        yield interruption
+        yield watcher
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

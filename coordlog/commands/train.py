@@ -2,117 +2,125 @@
 
 from __future__ import annotations
 
-import hashlib
-import uuid
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.logs import load_logs
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+from coordlog.commands.options import chosen, flag
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_INTERRUPTED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from coordlog.api.training import Trained
 
-    from coordlog.episode import Json
-    from coordlog.record.cache import Logs
-    from coordlog.sim.env import BatchEnv
-    from coordlog.train.settings import Settings
-    from coordlog.train.task import Outcome
-
-STEPS = 150_000
-"""Live steps of a run with the preset `default` that names no budget: enough for `free`."""
+Source = Annotated[
+    list[Path] | None,
+    typer.Option("--from", help="Folders of logs to learn from; may be repeated."),
+]
+Live = Annotated[
+    bool, typer.Option(help="Simulate as well, if there are logs; without --from it always does.")
+]
+Scene = Annotated[
+    str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")
+]
+Where = Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help="default, live, or paper: as printed there. Without a word, live where there are "
+        "fixed obstacles and no logs, else default."
+    ),
+]
+Config = Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="One setting, section.key=value, also of [env] and [reward]; may be repeated.",
+    ),
+]
+Updates = Annotated[
+    int | None,
+    typer.Option(min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn."),
+]
+Steps = Annotated[
+    int | None, typer.Option(min=0, help="Live environment steps; by default the preset's.")
+]
+Start = Annotated[
+    str, typer.Option(help="Start pose of the robot; evaluations begin in stand and home as well.")
+]
+Hindsight = Annotated[
+    float | None,
+    typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1."),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Envs = Annotated[int, typer.Option(min=1, help="Live simulations at once.")]
+EvalEvery = Annotated[
+    int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")
+]
+EvalEpisodes = Annotated[int, typer.Option(min=1, help="Held-out episodes per evaluation.")]
+Out = Annotated[Path | None, typer.Option(help="Run folder; by default runs/SCENE-SOURCE-sSEED.")]
+Resume = Annotated[bool, flag("--resume", "Go on with the run in --out, exactly where it stopped.")]
+Device = Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")]
+SkipBroken = Annotated[bool, flag("--skip-broken", "Leave out broken files instead of stopping.")]
+Verify = Annotated[bool, flag("--verify", "Read every log again, also those that did not change.")]
+Memory = Annotated[
+    str,
+    typer.Option(
+        help="Let logs stream through a window of so many bytes, such as 500MB, "
+        "instead of holding all of them."
+    ),
+]
+Crew = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Collectors that share --envs among them and feed one learner; "
+        "processes of a cluster with --jobs ray.",
+    ),
+]
+Decoders = Annotated[
+    str,
+    typer.Option(
+        help="Processes that read logs, 0 for one per core; ray or ray://HOST:PORT for "
+        "--collectors on a cluster."
+    ),
+]
+Tensorboard = Annotated[
+    bool, flag("--tensorboard", "Also write TensorBoard event files into the run folder.")
+]
+View = Annotated[
+    bool, flag("--view", "Watch in rerun: losses, held-out figures, the latest evaluation.")
+]
 
 
 def train(
-    source: Annotated[
-        list[Path] | None,
-        typer.Option("--from", help="Folders of logs to learn from; may be repeated."),
-    ] = None,
-    live: Annotated[
-        bool,
-        typer.Option(help="Simulate as well, if there are logs; without --from it always does."),
-    ] = False,
-    scene: Annotated[
-        str, typer.Option(help="Scene to simulate, or FILE.py:NAME; by default that of the logs.")
-    ] = "",
-    where: Annotated[
-        str, typer.Option(help="Which episodes, in SQL: \"clean and scene = 'table'\".")
-    ] = "",
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="default, live, or paper: as printed there. Without a word, live where there are fixed obstacles and no logs, else default."
-        ),
-    ] = "",
-    config: Annotated[
-        Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="One setting, section.key=value, also of [env] and [reward]; may be repeated.",
-        ),
-    ] = None,
-    updates: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Gradient updates; 0, as with --steps alone: as many as those earn."
-        ),
-    ] = None,
-    steps: Annotated[
-        int | None, typer.Option(min=0, help="Live environment steps; by default the preset's.")
-    ] = None,
-    start: Annotated[
-        str,
-        typer.Option(help="Start pose of the robot; evaluations begin in stand and home as well."),
-    ] = "stand",
-    hindsight: Annotated[
-        float | None,
-        typer.Option(help="Share of each batch with goals in hindsight, of logs and live, 0 to 1."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
-    envs: Annotated[int, typer.Option(min=1, help="Live simulations at once.")] = 32,
-    eval_every: Annotated[
-        int | None, typer.Option(min=0, help="Updates between evaluations; 0 for none.")
-    ] = None,
-    eval_episodes: Annotated[
-        int, typer.Option(min=1, help="Held-out episodes per evaluation.")
-    ] = 100,
-    out: Annotated[
-        Path | None, typer.Option(help="Run folder; by default runs/SCENE-SOURCE-sSEED.")
-    ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Go on with the run in --out, exactly where it stopped."),
-    ] = False,
-    device: Annotated[str, typer.Option(help="Where the networks live: cpu, cuda.")] = "cpu",
-    skip_broken: Annotated[
-        bool, typer.Option("--skip-broken", help="Leave out broken files instead of stopping.")
-    ] = False,
-    verify: Annotated[
-        bool,
-        typer.Option("--verify", help="Read every log again, also those that did not change."),
-    ] = False,
-    jobs: Annotated[
-        int, typer.Option(min=0, help="Processes that decode logs; 0 for one per core.")
-    ] = 0,
-    tensorboard: Annotated[
-        bool,
-        typer.Option(
-            "--tensorboard", help="Also write TensorBoard event files into the run folder."
-        ),
-    ] = False,
-    view: Annotated[
-        bool,
-        typer.Option(
-            "--view", help="Watch in rerun: losses, held-out figures, the latest evaluation."
-        ),
-    ] = False,
+    source: Source = None,
+    live: Live = False,
+    scene: Scene = "",
+    where: Where = "",
+    preset: Preset = "",
+    config: Config = None,
+    settings: Settings = None,
+    updates: Updates = None,
+    steps: Steps = None,
+    start: Start = "stand",
+    hindsight: Hindsight = None,
+    seed: Seed = 0,
+    envs: Envs = 32,
+    eval_every: EvalEvery = None,
+    eval_episodes: EvalEpisodes = 100,
+    out: Out = None,
+    resume: Resume = False,
+    device: Device = "cpu",
+    skip_broken: SkipBroken = False,
+    verify: Verify = False,
+    memory: Memory = "",
+    collectors: Crew = 0,
+    jobs: Decoders = "0",
+    tensorboard: Tensorboard = False,
+    view: View = False,
 ) -> None:
     """Learn to reach with DiGrad; every live and every evaluation episode is recorded.
 
@@ -128,233 +136,28 @@ def train(
 
         coordlog train --from logs/spheres --set reward.n1=3.0
 
+        coordlog train --from s3://robots/logs --memory 500MB --updates 100000
+
+        coordlog train --scene free --collectors 4 --jobs ray
+
         coordlog train --from logs/table --out runs/table-logs-s0 --resume
     """
-    from coordlog.commands.training import (
-        EVALUATION_ENVS,
-        RANK,
-        Judge,
-        Progress,
-        assemble,
-        evaluation_envs,
-        practising,
-        record_training,
-        require_window,
-        tell_doubts,
-        watch,
-    )
-    from coordlog.config import read_toml
-    from coordlog.sim.making import true_scene
-    from coordlog.tasks.own import scene_of
-    from coordlog.tasks.scene import find
-    from coordlog.train.bind import require_alike
-    from coordlog.train.events import EventFiles, require_tensorboard
-    from coordlog.train.run import held
-    from coordlog.train.settings import surroundings
-    from coordlog.train.task import Hooks
+    from coordlog.api import train_plan, training
 
-    given = {
-        "loop.seed": seed,
-        "loop.updates": updates,
-        "loop.steps": steps,
-        "loop.evaluate_every": eval_every,
-        "replay.hindsight": hindsight,
-        "replay.log_hindsight": hindsight,
-    }
-    tables = read_toml(config) if config else {}
-    around, assigned = _around(tables, settings or [])
-    # Live steps alone are a budget: without a word about updates, they are as many as the steps earn.
-    earned = (
-        ["loop.updates=0"]
-        if steps and updates is None and "updates" not in tables.get("loop", {})
-        else []
-    )
-    if not preset:
-        preset = _preset(out if resume else None, scene, live=not source)
-        if preset == "default" and not source and steps is None and not tables.get("loop"):
-            given |= {"loop.steps": STEPS, "loop.updates": updates or 0}
-    wanted = _settings(tables, preset=preset, given=given, assignments=[*earned, *assigned])
-    logs = (
-        load_logs(source, where=where, skip_broken=skip_broken, jobs=jobs, verify=verify)
-        if source
-        else None
-    )
-    mode = ("both" if live else "logs") if logs else "live"
-    if mode != "logs" and wanted.loop.steps == 0:
-        raise ConfigError("--steps: expected a budget of live steps, got none")
-    asked = scene
-    place = (
-        scene_of(scene)
-        if scene
-        else find(logs.episodes.column("scene")[0].as_py() if logs else "table")
-    )
-    scene = place.name
-    folder = out or Path("runs") / f"{scene}-{mode}-s{seed}"
-    like = true_scene(logs.env(0)) if logs else surroundings(preset)
-    judged = evaluation_envs(
-        place, around, like, start=start, envs=min(EVALUATION_ENVS, eval_episodes)
-    )
-    said = _said(scene, mode, judged[""], wanted, logs, envs=envs, where=where) | {
-        "preset": preset,
-        "start": start,
-    }
-    if logs:
-        require_alike(logs.env(0), said["env"], where=f"scene '{scene}'")
-    if mode != "logs" and "reward" in around:
-        tell_doubts(judged[""], wanted)
-    if view:
-        require_window()
-    if tensorboard:
-        require_tensorboard()
-    run = _named(folder, said, wanted, resume=resume)
-    if logs and like["reward"] != said["env"]["reward"]:
-        terminal.note(
-            "rewards are recomputed from logged distances and flags: the logs were recorded with other constants"
-        )
-    with ExitStack() as stack:
-        stack.enter_context(held(folder))
-        interrupted = stack.enter_context(terminal.interruptible())
-        window = stack.enter_context(watch(folder.name)) if view else None
-        events = stack.enter_context(EventFiles(folder / "tensorboard")) if tensorboard else None
-        show = Progress(
-            stack.enter_context(terminal.progress()), scene, wanted, window=window, events=events
-        )
-        judge = Judge(judged, folder, run=run, episodes=eval_episodes, window=window)
-        recorder = None
-        if mode != "logs":
-            simulated = practising(place, around, like, wanted, start=start, envs=envs)
-            recorder = stack.enter_context(record_training(simulated, folder, run=run))
-        hooks = Hooks(evaluate=judge, rank=RANK, on_row=show, should_stop=lambda: bool(interrupted))
-        trainer = assemble(
-            folder, wanted, judged[""], logs, recorder, hooks=hooks, said=said, device=device
-        )
-        if not resume:
-            _begin(folder, {**said, "recorder": run}, logs)
-        outcome = trainer.run(resume=resume and _has_checkpoint(folder))
-    again = f" --scene {asked}" if ":" in asked else ""
-    _tell(outcome, folder, scene=again, skipped=len(logs.skipped) if logs else 0)
+    plan = chosen(train_plan.TrainPlan, locals())
+    with terminal.interruptible() as monitor:
+        trained = training.train(plan, monitor)
+    _tell(trained, scene=f" --scene {scene}" if ":" in scene else "")
 
 
-def _preset(resumed: Path | None, scene: str, *, live: bool) -> str:
-    """The preset of a run that names none: that of the run it goes on with, or what was measured to
-    learn best.
-
-    From live steps alone, `live` goes around fixed obstacles, where `default` learns nothing; where
-    there are none, `default` learns in a third of the steps.
-    """
-    from coordlog.tasks.own import scene_of
-    from coordlog.train import run as runs
-
-    if resumed is not None:
-        return str(runs.recall(resumed).get("preset", "default"))
-    return "live" if live and scene_of(scene or "table").panels else "default"
-
-
-def _around(
-    tables: dict[str, Any], assignments: list[str]
-) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """The tables [env] and [reward], taken out of the file's, as --set changes them.
-
-    And the assignments that are not about these.
-    """
-    from coordlog.config import parse_assignment
-    from coordlog.sim.making import TABLES
-
-    around, rest = {name: dict(tables.pop(name)) for name in TABLES if name in tables}, []
-    for text in assignments:
-        section, key, value = parse_assignment(text)
-        if section in TABLES:
-            around.setdefault(section, {})[key] = value
-        else:
-            rest.append(text)
-    return around, rest
-
-
-def _settings(
-    tables: Mapping[str, Any], *, preset: str, given: Mapping[str, Any], assignments: list[str]
-) -> Settings:
-    """Preset, then file, then --set, then the options that have names of their own."""
-    from coordlog.train.settings import load_settings
-
-    own = [f"{key}={value}" for key, value in given.items() if value is not None]
-    return load_settings(preset=preset, tables=tables, assignments=[*assignments, *own])
-
-
-def _said(
-    scene: str,
-    mode: str,
-    env: BatchEnv,
-    settings: Settings,
-    logs: Logs | None,
-    *,
-    envs: int,
-    where: str,
-) -> Json:
-    """What the run is about, for run.json and for every policy file."""
-    digests = logs.episodes.column("digest").to_pylist() if logs else []
-    data = hashlib.sha256("".join(digests).encode()).hexdigest() if digests else ""
-    return {
-        "scene": scene,
-        "mode": mode,
-        "env": env.describe(),
-        "settings": settings.asdict(),
-        "seed": settings.loop.seed,
-        "envs": envs if mode != "logs" else 0,
-        "where": where,
-        "data": data,
-        "log_episodes": len(digests),
-    }
-
-
-def _named(folder: Path, said: Json, settings: Settings, *, resume: bool) -> str:
-    """The name that the run's recordings carry.
-
-    Nothing is written before all parts of the run are known to fit.
-    """
-    from coordlog.train import run as runs
-    from coordlog.train.settings import refuse_changes
-
-    if not resume:
-        runs.require_new(folder)
-        return uuid.uuid4().hex[:8]
-    before = runs.recall(folder)
-    runs.require_same(before, said, folder=folder)
-    refuse_changes(settings, before["settings"])
-    if not _has_checkpoint(folder):
-        terminal.note(f"{folder}: stopped before its first checkpoint; it begins again")
-    return str(before["recorder"])
-
-
-def _begin(folder: Path, said: Json, logs: Logs | None) -> None:
-    from coordlog.train import run as runs
-
-    data = (
-        zip(
-            logs.episodes.column("digest").to_pylist(),
-            logs.episodes.column("file").to_pylist(),
-            strict=True,
-        )
-        if logs
-        else []
-    )
-    runs.begin(folder, said, data=list(data))
-
-
-def _has_checkpoint(folder: Path) -> bool:
-    return (folder / "checkpoint.safetensors").exists()
-
-
-def _tell(outcome: Outcome, folder: Path, *, scene: str, skipped: int) -> None:
+def _tell(trained: Trained, *, scene: str) -> None:
     """How the run ended, what it achieved, and the exit code."""
+    folder, outcome, skipped = trained
     best = outcome.best or {}
-    merit = (
-        f"; best: clean {best['clean']:.1%}, success {best['success']:.1%}, score {best['score']:.2f}"
-        if best
-        else ""
-    )
-    terminal.say(
-        f"{folder}: {outcome.ending} after {outcome.updates:,} updates and {outcome.steps:,} live steps{merit}"
-    )
+    rates = f"clean {best['clean']:.1%}, success {best['success']:.1%}" if best else ""
+    merit = f"; best: {rates}, score {best['score']:.2f}" if best else ""
+    spent = f"{outcome.updates:,} updates and {outcome.steps:,} live steps"
+    terminal.say(f"{folder}: {outcome.ending} after {spent}{merit}")
     if outcome.event is not None:
         terminal.note(f"{outcome.event.name}: {outcome.event.advice}")
         raise typer.Exit(EXIT_CHECK_FAILED)

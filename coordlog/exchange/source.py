@@ -5,6 +5,7 @@ values.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError
-from coordlog.record.files import find_files
+from coordlog.record.files import Files, find_files
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -126,13 +127,22 @@ class Loaded:
             return ""
 
 
-def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry], list[str]]:
+def entries(
+    paths: Sequence[Path] | Files, *, skip_broken: bool = False
+) -> tuple[list[Entry], list[str]]:
     """The episodes under some paths in the order of their names, and what was skipped and why.
+
+    Args:
+        paths: What to search, or what a search has found.
+        skip_broken: Leave out what is broken.
 
     Raises:
         FormatError: if there are none, or one is broken and they are not to be skipped.
     """
-    found, skipped = find_files(paths), []
+    found = paths if isinstance(paths, Files) else find_files(paths)
+    skipped = [f"{path}: {reason}" for path, reason in found.skipped]
+    if skipped and not skip_broken:
+        raise FormatError(f"{skipped[0]}; --skip-broken exports the others")
     known: list[Entry] = []
     for path in found.paths:
         try:
@@ -143,8 +153,8 @@ def entries(paths: list[Path], *, skip_broken: bool = False) -> tuple[list[Entry
             skipped.append(str(error))
     skipped += [f"{part}: unfinished; `coordlog recover` makes an episode" for part in found.parts]
     if not known:
-        where = ", ".join(map(str, paths))
-        raise FormatError(f"no episodes (.mcap) under {where}: there is nothing to export")
+        where = "" if isinstance(paths, Files) else f" under {', '.join(map(str, paths))}"
+        raise FormatError(f"no episodes (.mcap){where}: there is nothing to export")
     return known, skipped
 
 

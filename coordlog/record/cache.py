@@ -30,38 +30,27 @@ import pyarrow as pa
 
 from coordlog.episode import Header, Json
 from coordlog.errors import SpecError
-from coordlog.record.addresses import is_elsewhere, size_and_time
 from coordlog.record.dataset import Decoded, decoded
+from coordlog.record.digests import (
+    EDITION,
+    read_json,
+    remember,
+    remembered,
+    replace_file,
+    stamp_of,
+    write_json,
+)
 from coordlog.record.files import Skipped
 from coordlog.record.storage import translated
-from coordlog.version import __version__
+from coordlog.spec import LEARNT, names
 
 SHARD = 128
 """Episodes in a shard."""
-EDITION = f"{__version__}-2"
-"""Shards of another edition are not read."""
 STEPS, EPISODES, SUMS = ".steps.arrow", ".episodes.arrow", ".sums.json"
-DIGESTS = "digests.json"
 TRIES = 3
 """A shard that is still damaged when it was made so often is not used."""
-FRESH = 100_000_000
-"""A file changed less than this long ago [ns] may change again within one tick of the clock: its
-digest is not remembered."""
-STEP_COLUMNS = (
-    "state",
-    "action",
-    "distance",
-    "boundary",
-    "goal",
-    "collision",
-    "instability",
-    "terminated",
-)
-"""What training reads; the rest stays in the files."""
-
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
-Stamp = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -79,7 +68,7 @@ class Logs:
     """Columns of a set of episodes, in the order of their files."""
 
     steps: pa.Table
-    """One row per step: STEP_COLUMNS."""
+    """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
     """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene,
     split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
@@ -122,8 +111,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
     """
     skipped: dict[Path, Skipped] = {}
     with _trusted(folder) as (place, notes):
-        stamps = {path: _stamp(path) for path in paths}
-        digests = {} if verify else _remembered(place, stamps)
+        stamps = {path: stamp_of(path) for path in paths}
+        digests = {} if verify else remembered(place, stamps)
         known, tried = _known(place), set[Path]()
         for _ in range(TRIES):
             missing = [path for path in paths if digests.get(path) not in known]
@@ -142,7 +131,7 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
             _remove(place, broken)
             known = {key: at for key, at in known.items() if at[0] not in broken}
             tried = {*skipped}
-        _remember(place, stamps, digests)
+        remember(place, stamps, digests)
         here = [path for path in paths if digests.get(path) in known]
         if not here:
             first = next(iter(skipped.values()), None)
@@ -151,8 +140,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
                 f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
             )
         logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
-    names = pa.array([str(path) for path in here])
-    return replace(logs, episodes=logs.episodes.append_column("file", names), notes=notes)
+    files = pa.array([str(path) for path in here])
+    return replace(logs, episodes=logs.episodes.append_column("file", files), notes=notes)
 
 
 def build(paths: Sequence[Path], *, folder: Path) -> Built:
@@ -162,23 +151,14 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
     known = frozenset(_known(folder))
     for part in decoded(paths, skipped=skipped, digests=digests, known=known):
         episodes = _described(part)
+        kept = [name for name in names(LEARNT) if name in part.steps.column_names]
         name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
         sums = {
-            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(_columns(part.steps))),
+            STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(kept)),
             EPISODES: _write(folder / f"{name}{EPISODES}", episodes),
         }
-        _write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
+        write_json(folder / f"{name}{SUMS}", {"edition": EDITION, "sums": sums})
     return Built(len(paths), tuple(skipped), digests)
-
-
-def file_digest(path: Path) -> str:
-    """sha256 of a file.
-
-    Raises:
-        StorageError: if it cannot be read.
-    """
-    with translated(path, "read the file"), path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager
@@ -193,56 +173,6 @@ def _trusted(folder: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
     why = "belongs to another user" if status.st_uid != os.geteuid() else "others may write to it"
     with tempfile.TemporaryDirectory(prefix="coordlog-") as apart:  # mapped files outlive it
         yield Path(apart), (f"{folder}: the cache is not used: {why}; logs are decoded anew",)
-
-
-def _stamp(path: Path) -> Stamp | None:
-    """What a file's content is taken to depend on; None if it cannot be told."""
-    if is_elsewhere(path):
-        return size_and_time(path)
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return (status.st_size, status.st_mtime_ns, status.st_ino, status.st_dev)
-
-
-def _remembered(folder: Path, stamps: dict[Path, Stamp | None]) -> dict[Path, str]:
-    """Digests of the files that have not changed since they were read."""
-    entries = _read_json(folder / DIGESTS).get("files", {})
-    found = {}
-    for path, stamp in stamps.items():
-        entry = entries.get(str(path)) if isinstance(entries, dict) else None
-        if isinstance(entry, list) and stamp is not None and entry[:-1] == list(stamp):
-            found[path] = str(entry[-1])
-    return found
-
-
-def _remember(folder: Path, stamps: dict[Path, Stamp | None], digests: dict[Path, str]) -> None:
-    """Keep what is known of files beside what was known before.
-
-    Of a file that changed since its stamp was taken, or just before, nothing is kept.
-    """
-    before = _read_json(folder / DIGESTS).get("files", {})
-    entries = dict(before) if isinstance(before, dict) else {}
-    now = _clock(folder)
-    for path, digest in digests.items():
-        stamp = stamps.get(path)
-        entries.pop(str(path), None)
-        if stamp is not None and stamp == _stamp(path) and stamp[1] < now - FRESH:
-            entries[str(path)] = [*stamp, digest]
-    if entries != before:
-        _write_json(folder / DIGESTS, {"edition": EDITION, "files": entries})
-
-
-def _clock(folder: Path) -> int:
-    """What time a file written now would bear [ns]."""
-    with tempfile.TemporaryFile(dir=folder) as stream:
-        return os.fstat(stream.fileno()).st_mtime_ns
-
-
-def _columns(steps: pa.Table) -> list[str]:
-    """Those of STEP_COLUMNS that these episodes' task has."""
-    return [name for name in STEP_COLUMNS if name in steps.column_names]
 
 
 def _described(part: Decoded) -> pa.Table:
@@ -301,35 +231,8 @@ def _write(path: Path, table: pa.Table) -> list[int]:
     with pa.ipc.new_file(sink, table.schema) as writer:
         writer.write_table(table.combine_chunks())
     content = sink.getvalue()
-    _replace(path, memoryview(content))
+    replace_file(path, memoryview(content))
     return [content.size, zlib.crc32(content)]
-
-
-def _write_json(path: Path, content: Json) -> None:
-    _replace(path, memoryview(json.dumps(content).encode()))
-
-
-def _replace(path: Path, content: memoryview) -> None:
-    """Give a file new content, at once or not at all."""
-    with translated(path, "write the cache"):
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-
-
-def _read_json(path: Path) -> Json:
-    """A record of the cache; empty if it is missing, damaged or of another edition."""
-    try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    sound = isinstance(content, dict) and content.get("edition") == EDITION
-    return content if sound else {}
 
 
 def _known(folder: Path) -> dict[str, tuple[str, int]]:
@@ -347,7 +250,7 @@ def _known(folder: Path) -> dict[str, tuple[str, int]]:
 
 def _agrees(folder: Path, shard: str, kind: str) -> bool:
     """Whether a file of a shard has the size and the CRC that were noted when it was written."""
-    sums = _read_json(folder / f"{shard}{SUMS}").get("sums", {})
+    sums = read_json(folder / f"{shard}{SUMS}").get("sums", {})
     try:
         with (folder / f"{shard}{kind}").open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
@@ -394,11 +297,11 @@ def _gathered(
         part.steps.schema for part in parts
     }
     if len(widths) > 2:
-        names = sorted(
+        robots = sorted(
             {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
         )
         raise SpecError(
-            f"logs of several layouts (robots: {', '.join(names)}): learn from one robot and one state layout at a time"
+            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one state layout at a time"
         )
     return Logs(
         pa.concat_tables([part.steps for part in parts]),

@@ -47,6 +47,9 @@ _PREFIX = {
     "publish_time": "<u8",
 }
 PREFIX_SIZE = 31
+_HEAD_DTYPE = np.dtype([*_PREFIX.items()])
+_OPENING = np.dtype([("channel", "<u2"), ("size", "<u4")])
+"""How a message index begins: entries follow."""
 
 _local = threading.local()
 
@@ -57,6 +60,30 @@ class Batch(NamedTuple):
     channel: int
     log_time: Array  # (n,) uint64, ns
     records: Sequence[bytes | memoryview]
+
+
+class Head(NamedTuple):
+    """What stands before the compressed bytes of a chunk record."""
+
+    start: int
+    """log time of the first message"""
+    end: int
+    size: int
+    """uncompressed"""
+    crc: int
+    """of the uncompressed bytes; 0 if none was written"""
+    compression: bytes
+    packed: memoryview
+
+
+class Expanded(NamedTuple):
+    """A chunk as it is read: its head, its content, and the message indexes that follow it."""
+
+    head: Head
+    data: bytes
+    start: int
+    """where the messages begin, after the definitions"""
+    indexes: list[memoryview]
 
 
 class Chunk(NamedTuple):
@@ -166,6 +193,25 @@ def _message_index(batches: Sequence[Batch], offsets: Array) -> tuple[bytes, dic
     return bytes(index), index_offset
 
 
+def unpack_head(content: memoryview) -> Head:
+    """A chunk record (given without opcode and length), not expanded yet.
+
+    Raises:
+        FormatError: if the record is not well formed.
+    """
+    try:
+        start, end, size, crc = _CHUNK_HEAD.unpack_from(content)
+        (name_length,) = struct.unpack_from("<I", content, _CHUNK_HEAD.size)
+        at = _CHUNK_HEAD.size + 4 + name_length
+        (stored,) = struct.unpack_from("<Q", content, at)
+    except struct.error as error:
+        raise FormatError(f"chunk: cannot be expanded: {error}") from None
+    packed = content[at + 8 :]
+    if stored != len(packed):
+        raise FormatError(f"chunk: expected {len(packed)} bytes, got {stored}")
+    return Head(start, end, size, crc, bytes(content[_CHUNK_HEAD.size + 4 : at]), packed)
+
+
 def uncompressed_size(content: memoryview) -> int:
     """What a chunk record says that it expands to [bytes].
 
@@ -189,29 +235,22 @@ def expand(content: memoryview, *, verify: bool = True, room: int = MAX_CHUNK) -
     Raises:
         FormatError: if it cannot be expanded, is larger than `room`, or its CRC differs.
     """
-    try:
-        _, _, size, crc = _CHUNK_HEAD.unpack_from(content)
-        (name_length,) = struct.unpack_from("<I", content, _CHUNK_HEAD.size)
-        at = _CHUNK_HEAD.size + 4 + name_length
-        compression, (stored,) = (
-            bytes(content[_CHUNK_HEAD.size + 4 : at]),
-            struct.unpack_from("<Q", content, at),
+    head = unpack_head(content)
+    if head.size > room:
+        raise FormatError(
+            f"chunk: says that it expands to {head.size} bytes, more than the {room} that are "
+            "left for a file of this size"
         )
-        packed = content[at + 8 :]
-        if stored != len(packed):
-            raise FormatError(f"chunk: expected {len(packed)} bytes, got {stored}")
-        if size > room:
-            raise FormatError(
-                f"chunk: says that it expands to {size} bytes, more than the {room} that are "
-                "left for a file of this size"
-            )
-        data = _expanded(compression, packed, size)
-    except (struct.error, zstandard.ZstdError, RuntimeError) as error:
+    try:
+        data = _expanded(head.compression, head.packed, head.size)
+    except (zstandard.ZstdError, RuntimeError) as error:
         raise FormatError(f"chunk: cannot be expanded: {error}") from None
-    if len(data) != size:
-        raise FormatError(f"chunk: expected {size} bytes uncompressed, got {len(data)} or more")
-    if verify and crc and zlib.crc32(data) != crc:
-        raise FormatError(f"chunk: expected CRC {crc:08x}, got {zlib.crc32(data):08x}")
+    if len(data) != head.size:
+        raise FormatError(
+            f"chunk: expected {head.size} bytes uncompressed, got {len(data)} or more"
+        )
+    if verify and head.crc and zlib.crc32(data) != head.crc:
+        raise FormatError(f"chunk: expected CRC {head.crc:08x}, got {zlib.crc32(data):08x}")
     return data
 
 
@@ -302,6 +341,60 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
         )
     size = RECORD_HEAD.size + length
     return channel, [data[at : at + size] for at in offsets]
+
+
+def tiled(chunks: Sequence[Expanded]) -> bool:
+    """Whether the message indexes of some chunks say of each message where it is, whose it is and
+    when it was logged, and the messages fill each chunk in the order of the log times that its head
+    has: all of them at once. Of a chunk without messages, or in which definitions stand between
+    messages, that is not said.
+    """
+    indexes = [index for chunk in chunks for index in chunk.indexes]
+    if not all(chunk.indexes for chunk in chunks) or min(map(len, indexes)) < _OPENING.itemsize:
+        return False
+    head = np.frombuffer(b"".join(index[: _OPENING.itemsize] for index in indexes), _OPENING)
+    sizes = np.array([len(index) - _OPENING.itemsize for index in indexes])
+    whose = np.repeat(np.arange(len(chunks)), [len(chunk.indexes) for chunk in chunks])
+    pairs = set(zip(whose.tolist(), head["channel"].tolist(), strict=True))
+    if (sizes != head["size"]).any() or (sizes % _INDEX_ENTRY.itemsize).any():
+        return False
+    if len(pairs) < len(indexes):
+        return False
+    entries = np.frombuffer(b"".join(index[_OPENING.itemsize :] for index in indexes), _INDEX_ENTRY)
+    counts = sizes // _INDEX_ENTRY.itemsize
+    lengths = np.array([len(chunk.data) for chunk in chunks])
+    of = np.repeat(whose, counts)  # the chunk of each message
+    if not np.bincount(of, minlength=len(chunks)).all():
+        return False
+    if (entries["offset"] > np.maximum(lengths - PREFIX_SIZE, 0).astype("<u8")[of]).any():
+        return False
+    bases = np.cumsum(lengths) - lengths
+    offsets = entries["offset"].astype(np.int64) + bases[of]
+    rank = np.repeat(np.arange(len(indexes)), counts) * int(lengths.sum())
+    if (np.diff(offsets + rank) <= 0).any():  # each index in the order of its messages
+        return False
+    order = np.argsort(offsets)
+    begin, of, times = offsets[order], of[order], entries["log_time"][order]
+    data = b"".join(chunk.data for chunk in chunks)
+    every = len(data) - PREFIX_SIZE + 1  # a head at each byte, of which those are taken
+    heads = np.ndarray((every,), _HEAD_DTYPE, data, strides=(1,))[begin]
+    last = np.append(np.flatnonzero(np.diff(of)), len(of) - 1)
+    first = np.append(0, last[:-1] + 1)
+    ends = np.append(begin[1:], len(data))
+    ends[last] = bases + lengths
+    late = np.diff(times.astype(np.int64)) < 0
+    late[last[:-1]] = False
+    return bool(
+        np.array_equal(begin[first], bases + [chunk.start for chunk in chunks])
+        and np.array_equal(begin + RECORD_HEAD.size + heads["length"].astype(np.int64), ends)
+        and (heads["opcode"] == Opcode.MESSAGE).all()
+        and (heads["length"] >= PREFIX_SIZE - RECORD_HEAD.size).all()
+        and np.array_equal(heads["channel"], np.repeat(head["channel"], counts)[order])
+        and np.array_equal(heads["log_time"], times)
+        and not late.any()
+        and times[first].tolist() == [chunk.head.start for chunk in chunks]
+        and times[last].tolist() == [chunk.head.end for chunk in chunks]
+    )
 
 
 def _string(value: str) -> bytes:

@@ -127,17 +127,8 @@ class Container:
     def finish(self) -> None:
         """Append the end of the data section, the summary, the footer and the closing magic."""
         self._append(pack(DataEnd(self._crc)))
-        start, summary, offsets = self._position, b"", b""
-        for opcode, group in self._summary_groups().items():
-            if group:  # an offset to an empty group is an error to strict readers
-                offsets += pack(
-                    SummaryOffset(
-                        group_opcode=opcode,
-                        group_start=start + len(summary),
-                        group_length=len(group),
-                    )
-                )
-            summary += group
+        start = self._position
+        summary, offsets = summary_of(self._summary_groups(), start)
         footer = FOOTER.pack(
             Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size, start, start + len(summary), 0
         )[:-4]
@@ -171,3 +162,21 @@ class Container:
         self._pending.append(data)
         self._position += len(data)
         self._crc = zlib.crc32(data, self._crc)
+
+
+def summary_of(groups: Mapping[int, bytes], start: int) -> tuple[bytes, bytes]:
+    """The records of a summary that starts at a byte of the file, and the offsets that follow.
+
+    Args:
+        groups: Packed records by opcode, in order.
+        start: Where the summary starts.
+    """
+    summary, offsets = b"", b""
+    for opcode, group in groups.items():
+        if group:  # an offset to an empty group is an error to strict readers
+            at = start + len(summary)
+            offsets += pack(
+                SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group))
+            )
+        summary += group
+    return summary, offsets

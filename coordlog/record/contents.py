@@ -172,7 +172,7 @@ def contents(data: bytes, *, verify: bool = True, rows: bool = False) -> Content
     own = is_own(data, spans)
     found = Contents(own=own)
     stop = summary_start(view[-TAIL_SIZE:], len(data)) if own else len(data)
-    _require_room(view, spans)
+    require_room(view, spans)
     chunk, at = b"", len(MAGIC)
     for span in spans:
         if span.end > stop:
@@ -208,7 +208,7 @@ def contents(data: bytes, *, verify: bool = True, rows: bool = False) -> Content
     return found
 
 
-def _require_room(view: memoryview, spans: list[Span]) -> None:
+def require_room(view: memoryview, spans: list[Span]) -> None:
     """Hold what all chunks of a file say that they expand to to its size, before one of them is.
 
     Raises:

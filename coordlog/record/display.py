@@ -6,6 +6,7 @@ nothing is ever read back from them.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from functools import lru_cache
@@ -22,6 +23,9 @@ from coordlog.record.records import RECORD_HEAD
 from coordlog.sim.description import Description
 from coordlog.spec import DESCRIPTION_TOPIC, TRANSFORMS_TOPIC
 
+RATE = 15.0
+"""Poses a second, at most: what eyes follow. At every step they would be half of what a file's
+viewing topics weigh, and most of what writing them costs."""
 NS = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _VALUES = 7
@@ -66,17 +70,32 @@ class Shown:
         *,
         qpos: Array,
         inputs: Mapping[str, Array] | None,
+        every: int,
     ) -> dict[str, Batch]:
-        """A block of /tf, and before the first /robot_description."""
-        mocap = self._moved(step, inputs)
-        transforms = self._description.transforms(qpos, mocap)
-        layout = _layout(self._description.links, self._description.parents)
-        found = {TRANSFORMS_TOPIC: layout.batch(channel[TRANSFORMS_TOPIC], times, step, transforms)}
+        """A block of /tf, of every so many steps, and before the first /robot_description."""
+        mocap, rows = self._moved(step, inputs), np.flatnonzero(step % every == 0)
+        found = {}
+        if len(rows):
+            transforms = self._description.transforms(qpos[rows], mocap[rows])
+            layout = _layout(self._description.links, self._description.parents)
+            found[TRANSFORMS_TOPIC] = layout.batch(
+                channel[TRANSFORMS_TOPIC], times[rows], step[rows], transforms
+            )
         if self._text:
             record = _text(channel[DESCRIPTION_TOPIC], int(times[0]), self._text)
             found[DESCRIPTION_TOPIC] = Batch(channel[DESCRIPTION_TOPIC], times[:1], [record])
             self._text = ""
         return found
+
+    @staticmethod
+    def every(control_period: float) -> int:
+        """Steps from one pose to the next.
+
+        Example:
+            >>> Shown.every(0.04), Shown.every(0.12), Shown.every(0.002)
+            (2, 1, 34)
+        """
+        return max(1, math.ceil(1.0 / (RATE * control_period)))
 
     def _moved(self, step: Array, inputs: Mapping[str, Array] | None) -> Array:
         """Poses of the mocap bodies at each step, (n, n_mocap, 7)."""

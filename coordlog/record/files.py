@@ -10,9 +10,10 @@ import errno
 import os
 import stat
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from coordlog.errors import CoordlogError, FormatError, SpecError, StorageError
@@ -47,6 +48,24 @@ class Files(NamedTuple):
     skipped: tuple[Skipped, ...] = ()
     others: tuple[tuple[str, int], ...] = ()
     """Kinds of logs of other programs that lie there, and how many of each."""
+    stamps: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    """Size and mtime [ns] of the files of this machine, as the walk met them, by path."""
+
+    def left_out(self) -> list[str]:
+        """A sentence for each file that was left out, and for each that is unfinished."""
+        return [f"{item.path}: {item.reason}" for item in self.skipped] + [
+            f"{part}: unfinished; `coordlog recover` makes an episode of it" for part in self.parts
+        ]
+
+    def joined(self, other: Files) -> Files:
+        """These files and others."""
+        counts = Counter(dict(self.others)) + Counter(dict(other.others))
+        return Files(
+            self.paths + other.paths,
+            self.parts + other.parts,
+            self.skipped + other.skipped,
+            tuple(sorted(counts.items())),
+        )
 
 
 def find_files(path_or_paths: File | Iterable[File]) -> Files:
@@ -80,9 +99,8 @@ def find_files(path_or_paths: File | Iterable[File]) -> Files:
                 raise
             walk.skip(path, reason_of(path, error))
         paths += walk.taken()
-    return Files(
-        tuple(paths), tuple(walk.parts), tuple(walk.skipped), tuple(sorted(walk.others.items()))
-    )
+    others = tuple(sorted(walk.others.items()))
+    return Files(tuple(paths), tuple(walk.parts), tuple(walk.skipped), others, walk.stamps)
 
 
 def recovered_before(part: Path) -> Path | None:
@@ -168,6 +186,7 @@ class _Walk:
     parts: list[Path] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     others: Counter[str] = field(default_factory=Counter)
+    stamps: dict[str, tuple[int, int]] = field(default_factory=dict)
     _paths: list[Path] = field(default_factory=list)
     _seen: set[tuple[int, int]] = field(default_factory=set)
 
@@ -194,7 +213,7 @@ class _Walk:
         if not stat.S_ISREG(status.st_mode):
             raise FormatError(f"{path}: expected a file or a folder, got {_kind(status.st_mode)}")
         if self.is_new(status):
-            self._paths.append(path)
+            self._take(path, status)
 
     def folder(self, top: Path) -> None:
         """Walk one tree.
@@ -218,7 +237,7 @@ class _Walk:
                     waiting += own
                     links += linked
                 elif _of_interest(path.name):
-                    self._file(path, status.st_mode)
+                    self._file(path, status)
             except FileNotFoundError:
                 if _of_interest(path.name) or not path.suffix:  # it may have led to a folder
                     self.skip(path, "cannot read: a link to nothing")
@@ -228,20 +247,24 @@ class _Walk:
                 if error.errno != errno.ELOOP or _of_interest(path.name):
                     self.skip(path, f"cannot read: {error.strerror}")
 
-    def _file(self, path: Path, mode: int) -> None:
+    def _file(self, path: Path, status: os.stat_result) -> None:
         kind = SUFFIXES.get(path.suffix.lower())
         if kind:
             self.others[kind] += 1
-        elif not stat.S_ISREG(mode):
-            self.skip(path, f"expected a file, got {_kind(mode)}")
+        elif not stat.S_ISREG(status.st_mode):
+            self.skip(path, f"expected a file, got {_kind(status.st_mode)}")
         elif not os.access(path, os.R_OK, effective_ids=_EFFECTIVE):
             self.skip(path, "cannot read: Permission denied")
         elif path.name.startswith(_APPLE) and recognise(_head(path)).startswith("an AppleDouble"):
             self.skip(path, recognise(_head(path)))
         elif not path.name.endswith(PART):
-            self._paths.append(path)
+            self._take(path, status)
         elif recovered_before(path) is None:
             self.parts.append(path)
+
+    def _take(self, path: Path, status: os.stat_result) -> None:
+        self._paths.append(path)
+        self.stamps[os.fspath(path)] = (status.st_size, status.st_mtime_ns)
 
     def skip(self, path: Path, reason: str) -> None:
         """Leave something out, and remember why."""

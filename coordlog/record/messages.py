@@ -107,6 +107,7 @@ class Encoder:
         }
         """Of every topic but those made from the model the message."""
         self._channel = {name: topic.id for name, topic in topics(header).items()}
+        self._every = 1 if shown is None else shown.every(header.episode["control_period"])
         joints = header.env["joints"]
         self._names = tuple(joint["name"] for joint in joints)
         self._qpos, self._qvel = ([int(joint[key]) for joint in joints] for key in ("qpos", "qvel"))
@@ -136,7 +137,12 @@ class Encoder:
             )
         if self._shown is not None:
             batches |= self._shown.batches(
-                self._channel, times, step, qpos=columns["qpos"], inputs=inputs
+                self._channel,
+                times,
+                step,
+                qpos=columns["qpos"],
+                inputs=inputs,
+                every=self._every,
             )
         return batches
 

@@ -8,14 +8,31 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap.opcode import Opcode
 
-from coordlog.episode import INITIAL_STATE, Array, Episode, Header, Result
+from coordlog.episode import INITIAL_STATE, KINDS, Array, Episode, Header, Result
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.contents import Contents, contents
 from coordlog.record.decoding import decode, require_header
-from coordlog.record.metadata import RESULT, decode_header, decode_result, vouched
-from coordlog.record.opening import File, load, naming, no_marker, require_coordlog, rewritten_by
+from coordlog.record.metadata import (
+    EPISODE,
+    RESULT,
+    decode_header,
+    decode_result,
+    require_version,
+    vouched,
+)
+from coordlog.record.opening import (
+    File,
+    is_own,
+    load,
+    naming,
+    no_marker,
+    require_coordlog,
+    rewritten_by,
+)
 from coordlog.record.reader import attachments, metadata
+from coordlog.record.records import Span, unpack_metadata, walk
 
 if TYPE_CHECKING:
     import mujoco
@@ -68,9 +85,21 @@ class Recording:
         return hashlib.sha256(self.data).hexdigest()
 
     @cached_property
+    def spans(self) -> list[Span]:
+        """Where its records are."""
+        return list(walk(self.data))
+
+    @cached_property
     def rewritten(self) -> str:
         """The program that wrote the file's bytes anew; "" if coordlog did."""
-        return rewritten_by(self.data)
+        return "" if is_own(self.data, self.spans) else rewritten_by(self.data)
+
+    @cached_property
+    def observed(self) -> bool:
+        """Whether its file says that it came from outside, before anything vouches for that."""
+        records = (span for span in self.spans if span.opcode == Opcode.METADATA)
+        named = (unpack_metadata(self.data[span.start : span.end]) for span in records)
+        return any(name == EPISODE and said.get("kind") == KINDS[1] for name, said in named)
 
     @cached_property
     def header(self) -> Header:
@@ -155,6 +184,7 @@ class Recording:
     def _metadata(self) -> dict[str, dict[str, str]]:
         found = metadata(self.data)
         require_header(found)
+        require_version(found[EPISODE])
         if RESULT not in found:
             raise TruncatedError(no_marker(len(self.data)))
         vouched(found)

@@ -12,13 +12,21 @@ import hashlib
 import os
 import shutil
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
+from coordlog.errors import ConfigError
+from coordlog.monitor import Monitor
+from coordlog.record.addresses import is_pack
 from coordlog.record.files import find_files
 from coordlog.record.places import is_url
 from coordlog.record.storage import translated
-from coordlog.record.store import Store
+from coordlog.record.store import PackStore, Store, store_of
+
+if TYPE_CHECKING:
+    from coordlog.record.recorder import Finished
 
 FOLDER = ".spool"
 LOCK = "lock"
@@ -105,3 +113,43 @@ def _remove(folder: Path, lock: int) -> None:
     if [path.name for path in folder.iterdir()] == [LOCK]:
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
+
+
+class Sink:
+    """What takes finished episodes; `folder` is where the recorder writes."""
+
+    def __init__(self, folder: Path, spool: Spool | None) -> None:
+        self.folder = folder
+        self._spool = spool
+        self.done: list[Finished] = []
+        """Finished episodes, under the addresses where they are now."""
+        self.size = 0
+        """bytes"""
+
+    def take(self, item: Finished) -> None:
+        """Count a finished episode, and hand it on."""
+        self.size += item.path.stat().st_size
+        self.done.append(
+            item._replace(path=self._spool.publish(item.path)) if self._spool else item
+        )
+
+
+@contextmanager
+def sink_at(out: Path, monitor: Monitor, *, pack: bool = False) -> Iterator[Sink]:
+    """The sink at an address: a folder, a pack, or an object store.
+
+    Raises:
+        ConfigError: if it is no folder for a pack.
+        StorageError: if the store refuses.
+    """
+    if pack and is_url(out):
+        raise ConfigError(f"--pack: expected a folder, got {out}; copy the shards there afterwards")
+    if not (pack or is_url(out) or is_pack(out)):
+        yield Sink(out, None)
+        return
+    with Spool(store_of(out) if is_url(out) else PackStore(out)) as spool:
+        for path in spool.published:
+            monitor.note(f"published what an earlier recording had left: {path}")
+        for path in spool.unfinished:
+            monitor.note(f"unfinished: {path}; `coordlog recover` makes an episode of it")
+        yield Sink(spool.folder, spool)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import hashlib
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, is_pack, listed
 from coordlog.record.buckets import Bucket
-from coordlog.record.files import find_files
+from coordlog.record.files import Files, find_files
 from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
 from coordlog.record.packs import is_shard
 from coordlog.record.places import Entry, is_url
@@ -83,13 +84,13 @@ class LocalStore(Store):
         Raises:
             StorageError: if there is no such folder.
         """
-        entries = []
-        for path in find_files(self.folder).paths:
-            with translated(path, "look at the file"):
-                status = path.stat()
-            name = path.relative_to(self.folder).as_posix()
-            entries.append(Entry(name, status.st_size, status.st_mtime_ns))
-        return entries
+        return [*self.entries(find_files(self.folder))]
+
+    def entries(self, files: Files) -> Sequence[Entry]:
+        """What a walk over the folder found, as entries."""
+        start = 0 if self.folder == Path() else len(os.path.join(self.folder, ""))
+        names = map(os.fspath, files.paths)
+        return [Entry(name[start:], *files.stamps[name]) for name in names]
 
     def path(self, name: str) -> Path:
         """The path of an episode."""

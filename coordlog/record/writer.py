@@ -82,6 +82,7 @@ class EpisodeWriter:
         self.header = header
         if display and shown is None:
             shown = _shown(attachments)
+        self._fields = header.fields
         self._encoder = Encoder(header, display=display, shown=shown if display else None)
         self._tally = Tally(header)
         self._topics = topics(header)
@@ -140,7 +141,7 @@ class EpisodeWriter:
             StorageError: if the file system refuses; what came before stays in the part file.
         """
         n = len(columns["time"])
-        self._validate(self.header.fields, columns, n)
+        self._validate(self._fields, columns, n)
         if first_step != self.length or n == 0:
             raise SpecError(
                 f"first_step: expected {self.length} and at least one row, got {first_step} and {n}"
@@ -178,7 +179,7 @@ class EpisodeWriter:
 
         The part file is then complete.
         """
-        items = before(self.header.fields)
+        items = before(self._fields)
         row = {
             item.name: np.asarray(final[item.name])[None] for item in items if item.name in final
         }

@@ -125,7 +125,7 @@ def _retraced(log: Log) -> Trace:
     return Trace(moved, np.zeros(0, CONTACT))
 
 
-def task_of(log: Log) -> BoundTask:
+def bound_task(log: Log) -> BoundTask:
     """The task a log was recorded in, rebuilt from its header and model; the last one is kept.
 
     Where the task is not installed, a stand-in that judges nothing.
@@ -163,7 +163,7 @@ class LogEnv:
         Raises:
             ConfigError: if a model lacks what its header names.
         """
-        self._logs, self.task = logs, task_of(logs[0])
+        self._logs, self.task = logs, bound_task(logs[0])
         models, resting = [log.model for log in logs], resting_of(logs[0].header)
         self.physics = Physics(
             models[0], n=len(logs), threads=threads, models=models, resting=resting

@@ -16,7 +16,7 @@ import numpy as np
 from coordlog.contracts import Outcome
 from coordlog.episode import Array
 from coordlog.sim.physics import STATE
-from coordlog.sim.replay import Log, LogEnv, first_state, task_of
+from coordlog.sim.replay import Log, LogEnv, bound_task, first_state
 from coordlog.sim.rollout import ended, rollout
 from coordlog.sim.simulation import Simulation
 from coordlog.sim.traced import Traced
@@ -110,7 +110,7 @@ def targets(log: Log) -> Array:
     Raises:
         FormatError: if the first state does not fit the model.
     """
-    task, data = task_of(log), mujoco.MjData(log.model)
+    task, data = bound_task(log), mujoco.MjData(log.model)
     mujoco.mj_setState(log.model, data, first_state(log), STATE)
     target, command = data.ctrl[None].copy(), np.zeros((1, len(task.servos)))
     found = [target[0, task.servos]]
@@ -130,7 +130,7 @@ def torques(log: Log, wanted: Array) -> Array:
         log: Model and first state.
         wanted: Servo targets as from `targets`.
     """
-    task, model, data = task_of(log), log.model, mujoco.MjData(log.model)
+    task, model, data = bound_task(log), log.model, mujoco.MjData(log.model)
     mujoco.mj_setState(model, data, first_state(log), STATE)
     found = np.empty((len(wanted) - 1, len(task.servos)))
     before = data.ctrl.copy()

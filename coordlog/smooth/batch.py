@@ -1,4 +1,4 @@
-"""Folders of episodes smoothed into folders of episodes: plan, one job for each file, a summary.
+"""Folders of episodes smoothed into folders of episodes: plan, one job for each file, a report.
 
 Outputs that are there and would be made the same again are left alone; inputs are never touched.
 """
@@ -10,13 +10,15 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from coordlog.errors import ConfigError, CoordlogError, SpecError, StorageError
-from coordlog.parallel import mapped
+from coordlog.monitor import Monitor
+from coordlog.parallel import mapped, shard
+from coordlog.smooth.report import SKIPPED, STATUSES, summary
 
 if TYPE_CHECKING:
     from coordlog.episode import Episode, Json
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from coordlog.record.recording import Recording
 
 TRANSFORM = "smooth"
-SKIPPED = "skipped"
-STATUSES = ("smoothed", "partly", "kept_raw", "raw_infeasible", SKIPPED)
 
 DEFAULTS: Json = {"method": "local", "cutoff": "max", "max_deviation": None, "clearance": 0.005}
 """Options of a batch that are not given."""
@@ -50,13 +50,53 @@ class Batch(NamedTuple):
     files: Files
     """What else was found: parts that no writer has finished, and what could not be read."""
 
-    def run(self, *, processes: int | str = 0) -> Iterator[Json]:
-        """Rows of the report (see `smooth_file`), in the order of the jobs.
 
-        Args:
-            processes: 0 for one per core; or a cluster, see `parallel.mapped`.
-        """
-        return mapped(smooth_file, self.jobs, jobs=processes)
+def smooth_logs(
+    paths: Sequence[Path],
+    out: Path,
+    settings: Json,
+    *,
+    write: bool = True,
+    force: bool = False,
+    share: str = "",
+    processes: int | str = 0,
+    monitor: Monitor | None = None,
+) -> Json:
+    """Smooth every episode of some logs, in the order of their names, and report (`report.summary`).
+
+    Args:
+        paths: Episode files, or folders that are searched at any depth.
+        out: Folder for the outputs, laid out as the input.
+        settings: Options of `coordlog.smooth.smooth` that are not as in `DEFAULTS`.
+        write: Write the outputs; without it, only smooth and execute.
+        force: Replace outputs that were made with other settings or from other files.
+        share: "I/N": the I-th of N equal shares of the episodes; "" for all.
+        processes: 0 for one per core; or a cluster, see `parallel.mapped`.
+        monitor: Hears of progress, and may ask to stop; what is done by then is reported.
+
+    Raises:
+        CoordlogError: as `plan`.
+    """
+    batch = plan(paths, out, settings, write=write, force=force)
+    batch = batch._replace(jobs=list(shard(batch.jobs, share)))
+    began = time.perf_counter()
+    heard = Monitor() if monitor is None else monitor
+    rows: list[Json] = []
+    with heard.progress("smoothing", len(batch.jobs)) as progress:
+        for row in mapped(smooth_file, batch.jobs, jobs=processes):
+            rows.append(row)
+            counts = Counter(each["status"] for each in rows)
+            said = (f"{counts[name]} {name}" for name in STATUSES if counts[name])
+            progress.advance(1, ", ".join(said))
+            if heard.stopped:
+                break
+    return summary(
+        rows,
+        DEFAULTS | settings,
+        batch.files,
+        wanted=len(batch.jobs),
+        seconds=time.perf_counter() - began,
+    )
 
 
 def plan(
@@ -240,53 +280,3 @@ def _write(job: Job, episode: Episode, recording: Recording) -> None:
             os.replace(beside, job.target)
     except OSError as error:
         raise StorageError(f"{job.target}: cannot write: {error.strerror}") from error
-
-
-def summary(rows: list[Json], batch: Batch, settings: Json, *, seconds: float) -> Json:
-    """Counts, medians of the ratios after/before over what was made anew, and every row."""
-    done = [row["parameters"] for row in rows if row["parameters"].get("steps_of", "log") != "log"]
-    counts = Counter(row["status"] for row in rows)
-    fresh = [row for row in rows if not row["resumed"] and row["status"] != SKIPPED]
-
-    def ratio(name: str, *keys: str) -> float | None:
-        return _median([_ratio(each, name, *keys) for each in done])
-
-    return {
-        "settings": settings,
-        "wanted": len(batch.jobs),
-        "episodes": len(rows),
-        "statuses": {name: counts[name] for name in STATUSES if counts[name]},
-        "resumed": sum(row["resumed"] for row in rows),
-        "certified": sum(bool(row["parameters"].get("certified")) for row in rows),
-        "median": {
-            "jerk": ratio("", "jerk"),
-            "acceleration": ratio("", "acceleration"),
-            "torque_rate": ratio("torque", "rate"),
-            "path_torque_rate": ratio("path_torque", "rate"),
-            "torque_peak": ratio("torque", "peak"),
-            "max_deviation": _median([each["after"]["max_deviation"] for each in done]),
-            "cpu": _median([row["cpu"] for row in fresh]),
-        },
-        "cpu": sum(row["cpu"] for row in rows),
-        "seconds": seconds,
-        "rows": rows,
-        "unfinished": [str(part) for part in batch.files.parts],
-        "skipped": [f"{item.path}: {item.reason}" for item in batch.files.skipped],
-    }
-
-
-def _ratio(parameters: Json, section: str, key: str) -> float | None:
-    """What a figure became, of what it was; None where either is not known."""
-    figures = parameters.get(section) if section else parameters
-    if not figures or not figures.get("before") or not figures.get("after"):
-        return None
-    before, after = figures["before"][key], figures["after"][key]
-    return after / before if before and after is not None else None
-
-
-def _median(values: list[float | None]) -> float | None:
-    known = sorted(value for value in values if value is not None)
-    if not known:
-        return None
-    middle = len(known) // 2
-    return known[middle] if len(known) % 2 else (known[middle - 1] + known[middle]) / 2

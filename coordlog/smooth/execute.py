@@ -15,7 +15,7 @@ import numpy as np
 
 from coordlog.episode import Array, Episode
 from coordlog.path import Path
-from coordlog.sim.replay import Log, task_of
+from coordlog.sim.replay import Log, bound_task
 from coordlog.sim.tracking import Drive, Run, run, targets, torques
 from coordlog.smooth.blending import grid_for
 from coordlog.smooth.metrics import torque_peak, torque_rate
@@ -76,7 +76,7 @@ def execute(log: Log, result: Result, episode: Episode) -> Execution:
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task, wanted = task_of(log), targets(log)
+    task, wanted = bound_task(log), targets(log)
     period = task.config.control_period
     raw = Torques.of(logged_torques(log, episode, wanted), period)
     if result.status == FALLBACK or not result.lam.any():
@@ -105,7 +105,7 @@ def logged_torques(log: Log, episode: Episode, wanted: Array) -> Array:
     logged = getattr(episode, "torque", None)
     if logged is None or not np.size(logged):
         return torques(log, wanted)
-    return np.asarray(logged[:, task_of(log).servos], dtype=np.float64)
+    return np.asarray(logged[:, bound_task(log).servos], dtype=np.float64)
 
 
 def follow(
@@ -124,7 +124,7 @@ def follow(
     Raises:
         FormatError: if the log's first state does not fit its model.
     """
-    task, wanted = task_of(log), targets(log) if wanted is None else wanted
+    task, wanted = bound_task(log), targets(log) if wanted is None else wanted
     period, last = task.config.control_period, result.spline.time[-1]
     lead = _lead(result, np.arange(len(angles)) * period, wanted - angles)
     low, high = task.limits.T

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from coordlog.episode import Episode, Json
+from coordlog.episode import Array, Episode, Json
 from coordlog.kinematics.base_motion import require_fit
 from coordlog.kinematics.clearance import NEAR, SceneChecker
 from coordlog.record.recording import Recording
-from coordlog.sim.replay import Log, resting_of, task_of
+from coordlog.sim.replay import Log, bound_task, resting_of
 from coordlog.smooth.execute import Execution, execute
 from coordlog.smooth.limits import Limits
 from coordlog.smooth.lineage import FASTER, common, derived, fastest_of, number
@@ -44,19 +44,41 @@ def smooth_episode(recording: Recording, settings: Json) -> tuple[Episode, Json]
     episode = recording.episode
     require_fit(recording.model, recording.initial_state, episode)
     log = Log.of(episode, recording.model, recording.initial_state)
-    task = task_of(log)
+    ends = "natural" if settings["method"] == "paper" else "soft"
+    result, checker = smooth_motion(log, episode.time, episode.qpos, ends=ends, settings=settings)
+    execution = execute(log, result, episode)
+    parameters = _parameters(episode, result, execution, settings, checker)
+    return _episode(recording, result, execution, parameters), parameters
+
+
+def smooth_motion(
+    log: Log, time: Array, qpos: Array, *, ends: str, settings: Json
+) -> tuple[Result, SceneChecker]:
+    """Smooth how the action joints moved in one scene, with all that else moved as it did.
+
+    Args:
+        log: Model, task and first state; its actions are not looked at.
+        time: Times, (n,) [s].
+        qpos: The whole configuration at each, (n, n_q).
+        ends: How the path ends (`coordlog.smooth.config.Config`).
+        settings: Other options of `coordlog.smooth.smooth`.
+
+    Raises:
+        FormatError: if the model lacks what the task names.
+        SpecError: if the motion cannot be smoothed as it is.
+    """
+    task = bound_task(log)
     checker = SceneChecker(
         log.model,
         task.robot,
         task.config,
-        time=episode.time,
-        qpos=episode.qpos,
+        time=time,
+        qpos=qpos,
         initial=log.start,
-        resting=resting_of(episode.header),
+        resting=resting_of(log.header),
     )
-    angles = episode.qpos[:, task.qpos_index]
-    ends = "natural" if settings["method"] == "paper" else "soft"
-    fastest = fastest_of(episode.time, angles, ends=ends)
+    angles = qpos[:, task.qpos_index]
+    fastest = fastest_of(time, angles, ends=ends)
     limits = Limits(
         task.limits[:, 0],
         task.limits[:, 1],
@@ -65,7 +87,7 @@ def smooth_episode(recording: Recording, settings: Json) -> tuple[Episode, Json]
     )
     # The checker is one by its methods: kinematics knows nothing of smoothing.
     result = smooth(
-        episode.time,
+        time,
         angles,
         cast("DistanceChecker", checker),
         limits=limits,
@@ -75,9 +97,7 @@ def smooth_episode(recording: Recording, settings: Json) -> tuple[Episode, Json]
         ends=ends,
         **settings,
     )
-    execution = execute(log, result, episode)
-    parameters = _parameters(episode, result, execution, settings, checker)
-    return _episode(recording, result, execution, parameters), parameters
+    return result, checker
 
 
 def _episode(

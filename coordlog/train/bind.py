@@ -13,7 +13,7 @@ from coordlog.contracts import Task as Rules
 from coordlog.episode import Array, Json
 from coordlog.errors import SpecError
 from coordlog.robots.robot import Robot
-from coordlog.spec import names
+from coordlog.spec import LEARNT, names, owned
 from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.observation import StateView
@@ -29,13 +29,13 @@ SPHERES = ("spheres", "nearness")
 """Parts of a state that tell of one sphere after the other."""
 SPHERE = 4
 """Entries of a sphere in the first of them: where it is, and its radius."""
-NEEDED = ("distance", "boundary", "goal", "collision", "instability")
+NEEDED = names(owned(LEARNT, "reach"))
 """Columns of a task that there must be for it to be learnt: rewards depend on nothing else."""
 SAME = ("robot", "action_joints", "arms", "layout", "state", "state_offset", "state_scale")
 """Keys of the record that must agree for logs to be learnt from together."""
 
 
-def task_of(env: Json, *, reward: RewardConfig | None = None) -> Task:
+def learning_task(env: Json, *, reward: RewardConfig | None = None) -> Task:
     """The task that a `coordlog.env` record describes.
 
     Args:

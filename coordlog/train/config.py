@@ -155,6 +155,9 @@ class BehaviourConfig:
     schedule: Schedule = "linear"
     """In between "linear", or "geometric": in equal factors, so that it is weak, and values are
     heard, for most of the run."""
+    extra: int = 0
+    """Further steps of the actor per update that only imitate, from logs alone: they cost a tenth
+    of an update, and it takes thousands to see through the noise of what was done."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no
     gradient passes (Andrychowicz 2017)."""
@@ -165,6 +168,7 @@ class BehaviourConfig:
             require(
                 getattr(self, name) >= 0, f"behaviour.{name}", "a number ≥ 0", getattr(self, name)
             )
+        require(self.extra >= 0, "behaviour.extra", "a number ≥ 0", self.extra)
         require_choice("behaviour.schedule", Schedule, self.schedule)
         ends = self.weight > 0 and self.final > 0
         require(
@@ -345,9 +349,9 @@ class LoopConfig:
 
     The results are the same either way.
     """
-    averaged: bool = True
-    """Evaluate and keep the target actor, an average of the last actors (eq. 5), in place of the
-    actor itself."""
+    average: float = 0.1
+    """The policy that is evaluated and kept is an average of the actors of about this last share of
+    the updates so far, but of no fewer than 1/τ, as the target actor's; 0 for the actor itself."""
     metrics_every: int = 500
     """Updates between two rows of metrics."""
     evaluate_every: int = 2_500
@@ -367,4 +371,5 @@ class LoopConfig:
             "a positive number",
             self.updates_per_step,
         )
+        require(0 <= self.average <= 1, "loop.average", "a share in [0, 1]", self.average)
         require(0 < self.final_rate <= 1, "loop.final_rate", "a share in (0, 1]", self.final_rate)

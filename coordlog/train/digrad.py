@@ -8,6 +8,7 @@ on its state and its batch alone.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -37,6 +38,14 @@ class Batch(NamedTuple):
     discount: Tensor  # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an end
     imitated: Tensor  # (B, 1) weight of the behaviour term
     wanted: Tensor  # (B, n_u) action that it pulls towards
+
+
+class Examples(NamedTuple):
+    """B states, and what was done there."""
+
+    state: Tensor  # (B, n_x)
+    action: Tensor  # (B, n_u)
+    imitated: Tensor  # (B, 1) weight of the behaviour term
 
 
 class Update(NamedTuple):
@@ -69,6 +78,7 @@ class Learner:
         config: LearnerConfig,
         bounds: tuple[float, float],
         seed: int,
+        average: float = 0.0,
         device: str = "cpu",
     ) -> None:
         """Initialise networks from the seed, and targets as their copies.
@@ -81,6 +91,8 @@ class Learner:
             bounds: Least and greatest return any policy can have, unscaled; see
                 `relabel.value_bounds`.
             seed: Seed of the weights and of everything random in an update.
+            average: Share of the updates so far that `average_actor` is an average over; 0 for the
+                actor itself.
             device: Where the networks live.
         """
         k, n_u = mask.shape
@@ -122,11 +134,14 @@ class Learner:
         self._online, self._targets = (
             tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
         )
-        self._moments = [
-            (target, moment)
-            for target, moment in zip(targets.buffers(), online.buffers(), strict=True)
-            if moment.dim() > 1
-        ]
+        self._moments = _moments(targets, online)
+        self._average = average
+        self.average_actor = self.actor
+        self._networks: tuple[str, ...] = NETWORKS
+        if average > 0:
+            self.average_actor = copy.deepcopy(self.target_actor)
+            self._networks = (*NETWORKS, "average_actor")
+            self._moments += _moments(self.average_actor, self.actor)
         dtype = self._online[0].dtype
         self._ascended = 1 if network.ascent == "first" else network.critics
         self._head_weights = torch.as_tensor(
@@ -159,6 +174,14 @@ class Learner:
         low, high = torch.aminmax(q)
         scale = self.config.reward_scale
         return Update(loss, q.mean(dim=(0, 1)) / scale, low / scale, high / scale, *self._last)
+
+    def imitate(self, examples: Examples, *, behaviour_weight: float, effort: float) -> None:
+        """One gradient step of the actor on the behaviour and effort terms alone."""
+        action: Tensor = self.actor(examples.state, training=True, generator=self.generator)
+        done = action.detach()
+        away = (done - examples.action) * examples.imitated
+        pull = (away * behaviour_weight + done * effort) * (2 / done.numel())
+        self._step_actor(action, [], pull)
 
     @torch.no_grad()
     def targets(self, batch: Batch) -> Tensor:
@@ -241,8 +264,8 @@ class Learner:
         sum over θ^μ.
         """
         self.actor_optimiser.zero_grad(set_to_none=True)
-        if self.config.gradient != "pcgrad":
-            action.backward(gradient=pull - torch.stack(ascents).sum(dim=0))  # type: ignore[no-untyped-call]
+        if self.config.gradient != "pcgrad" or not ascents:
+            action.backward(gradient=pull - sum(ascents, torch.zeros_like(pull)))  # type: ignore[no-untyped-call]
         else:
             parameters = tuple(self.actor.parameters())
             flat = [
@@ -269,11 +292,16 @@ class Learner:
 
     @torch.no_grad()
     def _update_targets(self) -> None:
-        """Eq. (5) as DDPG has it: θ' ← τ θ + (1 - τ) θ'.
+        """Eq. (5) as DDPG has it: θ' ← τ θ + (1 - τ) θ'; and the average that is evaluated.
 
-        Running moments of batch normalisation are copied.
+        The rate of the latter falls as 1/updates: it forgets the first actors, however long a run
+        is. Running moments of batch normalisation are copied.
         """
         torch._foreach_lerp_(self._targets, self._online, self.config.tau)
+        if self._average > 0:
+            window = self._average * self.updates / self.config.actor_delay
+            kept, latest = tuple(self.average_actor.parameters()), tuple(self.actor.parameters())
+            torch._foreach_lerp_(kept, latest, min(self.config.tau, 1 / window))
         for target, moment in self._moments:
             target.copy_(moment)
 
@@ -284,7 +312,7 @@ class Learner:
         """
         tensors = {"updates": torch.tensor(self.updates), "generator": self.generator.get_state()}
         tensors |= {f"last.{index}": value for index, value in enumerate(self._last)}
-        for name in NETWORKS:
+        for name in self._networks:
             tensors |= {
                 f"{name}.{key}": value for key, value in getattr(self, name).state_dict().items()
             }
@@ -300,7 +328,7 @@ class Learner:
             SpecError: if a network's tensor is missing or has another shape: the state is of
                 another layout or network.
         """
-        for name in NETWORKS:
+        for name in self._networks:
             module, found = getattr(self, name), under(f"{name}.", tensors)
             for key, value in module.state_dict().items():
                 got = tuple(found[key].shape) if key in found else None
@@ -323,3 +351,12 @@ class Learner:
         self._last = (value, behaviour, saturation)
         self.updates = int(tensors["updates"])
         self.generator.set_state(tensors["generator"].cpu())
+
+
+def _moments(targets: torch.nn.Module, online: torch.nn.Module) -> list[tuple[Tensor, Tensor]]:
+    """Running moments of batch normalisation in pairs: where they are copied to, and from."""
+    return [
+        (target, moment)
+        for target, moment in zip(targets.buffers(), online.buffers(), strict=True)
+        if moment.dim() > 1
+    ]

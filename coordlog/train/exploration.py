@@ -4,7 +4,7 @@ step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -39,12 +39,25 @@ class Noise:
         self._rng, self._value = generator_from_json(generator), np.array(arrays["value"])
 
 
+class Drawn:
+    """Noise that has been drawn before, (steps, lanes, n_u), to be had once."""
+
+    def __init__(self, values: Array) -> None:
+        self._values = iter(values)
+
+    def draw(self) -> Array:
+        """The next noise, (lanes, n_u) float32."""
+        return np.asarray(next(self._values))
+
+
 class Exploring:
     """a = clip(μ(s) + σ x, -1, 1) for the states of all lanes, to be executed and logged as it is
     (Algorithm 1).
     """
 
-    def __init__(self, policy: Callable[[Array], Array], noise: Noise, *, deviation: float) -> None:
+    def __init__(
+        self, policy: Callable[[Array], Array], noise: Noise | Drawn, *, deviation: float
+    ) -> None:
         """Disturb a policy by noise of this standard deviation, in units of the action range [-1,
         1].
         """
@@ -54,3 +67,13 @@ class Exploring:
         """Actions (lanes, n_u) float32 for states (lanes, n_x)."""
         action = self.policy(state) + self.deviation * self._noise.draw()
         return np.asarray(np.clip(action, np.float32(-1), np.float32(1)))
+
+    def shares(self, steps: int, lanes: Sequence[int]) -> list[Exploring]:
+        """For each of several collectors the policy of its lanes, with its part of the noise of so
+        many steps, drawn now.
+        """
+        noise = np.stack([self._noise.draw() for _ in range(steps)])
+        parts = np.split(noise, np.cumsum(lanes)[:-1], axis=1)
+        return [
+            Exploring(self.policy, Drawn(part), deviation=float(self.deviation)) for part in parts
+        ]

@@ -16,7 +16,7 @@ from coordlog.contracts import Env, Outcome
 from coordlog.episode import Array
 from coordlog.sim.rollout import rollout
 from coordlog.sim.scoring import Score, Scoreboard, figures
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block
 
 FLAGS = 6
 """Scalars of a Score in a row, before its values per arm."""
@@ -28,7 +28,8 @@ class _Actor:
     Remembers what it was asked and what it answered.
     """
 
-    def __init__(self, lanes: int) -> None:
+    def __init__(self, lanes: int, first: int, stride: int) -> None:
+        self._first, self._stride = first, stride
         self.choose: Callable[[Array], Array] | None = None
         self.state: Array = np.zeros(0)
         self.action: Array = np.zeros(0)
@@ -37,7 +38,7 @@ class _Actor:
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Number the episodes as they start."""
-        self.episode[ids] = self.started + np.arange(len(ids))
+        self.episode[ids] = self._first + self._stride * (self.started + np.arange(len(ids)))
         self.started += len(ids)
 
     def act(self, ids: Array, state: Array) -> Array:
@@ -46,15 +47,29 @@ class _Actor:
         self.state, self.action = state.copy(), self.choose(state)
         return self.action
 
+    def waiting(self) -> Iterator[int]:
+        """Indices of the episodes that have not been started."""
+        return count(self._first + self._stride * self.started, self._stride)
+
     def skip_to(self, episode: Array) -> None:
         """Number on from episodes that have been started."""
-        self.episode, self.started = episode.copy(), int(episode.max()) + 1
+        self.episode = episode.copy()
+        self.started = (int(episode.max()) - self._first) // self._stride + 1
 
 
 class Simulations:
     """All simulations of an environment, one episode after another; a `task.LiveSource`."""
 
-    def __init__(self, env: Env, *, seed: int, k: int, farthest: float) -> None:
+    def __init__(
+        self,
+        env: Env,
+        *,
+        seed: int,
+        k: int,
+        farthest: float,
+        first: int = 0,
+        stride: int = 1,
+    ) -> None:
         """Start nothing yet.
 
         Args:
@@ -62,10 +77,12 @@ class Simulations:
             seed: Seed of the problems; they are of the split "train".
             k: Number of arms.
             farthest: Distance that a diverged step counts as [m].
+            first: Index of the first episode.
+            stride: From one index to the next.
         """
         self.lanes = env.n
         self._env, self._seed, self._k, self._farthest = env, seed, k, farthest
-        self._actor, self._board = _Actor(env.n), Scoreboard(env.n, k)
+        self._actor, self._board = _Actor(env.n, first, stride), Scoreboard(env.n, k)
         self._ended = 0
         self._actions: list[list[Array]] = [[] for _ in range(env.n)]
         self._loop = self._start(running=None)
@@ -95,7 +112,7 @@ class Simulations:
             if flat
             else np.zeros((0, 0), np.float32),  # none where every episode has just ended
             "ended": np.array([self._ended]),
-            "scores": np.array([_to_row(score) for score in fresh], dtype=np.float64).reshape(
+            "scores": np.array([to_row(score) for score in fresh], dtype=np.float64).reshape(
                 len(fresh), FLAGS + 2 * self._k
             ),
         }
@@ -123,7 +140,7 @@ class Simulations:
                 ids, self._env.step(np.stack([self._actions[lane][step] for lane in ids]), ids)
             )
         self._ended = int(arrays["ended"][0])
-        self._board.scores = [_from_row(row, self._k) for row in arrays["scores"]]
+        self._board.scores = [from_row(row, self._k) for row in arrays["scores"]]
         self._actor.skip_to(arrays["episode"])
         self._loop = self._start(
             running=lanes
@@ -131,7 +148,7 @@ class Simulations:
 
     def _start(self, *, running: Array | None) -> Iterator[tuple[Array, Outcome]]:
         return rollout(
-            self._env, self._actor, count(self._actor.started), seed=self._seed, running=running
+            self._env, self._actor, self._actor.waiting(), seed=self._seed, running=running
         )
 
     def _step(self) -> tuple[Array, ...]:
@@ -160,12 +177,14 @@ class Simulations:
         return (actor.state, actor.action, next_state, distance, *flags, episode, step)
 
 
-def _to_row(score: Score) -> list[float]:
+def to_row(score: Score) -> list[float]:
+    """A score as numbers."""
     head = (score.length, score.success, score.clean, score.collided, score.fell, score.diverged)
     return [*map(float, head), *score.distance, *map(float, score.arrival)]
 
 
-def _from_row(row: Array, k: int) -> Score:
+def from_row(row: Array, k: int) -> Score:
+    """The score of `to_row`."""
     length, success, clean, collided, fell, diverged = row[:FLAGS]
     distance, arrival = (
         tuple(row[FLAGS : FLAGS + k].tolist()),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Literal
 
@@ -27,17 +28,18 @@ from coordlog.policies.checkpoint import (
     under,
 )
 from coordlog.policies.learned import Policy
-from coordlog.train.buffer import Block, ReplayBuffer
+from coordlog.train.columns import Block, Columns
 from coordlog.train.digrad import Learner
 from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
-from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
 from coordlog.train.networks import Actor
 from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
 from coordlog.train.settings import Settings, refuse_changes
+from coordlog.train.stream import Stream
 from coordlog.train.task import Hooks, LiveSource, Outcome, Task
+from coordlog.train.transitions import Transitions
 
 KIND = "coordlog checkpoint"
 ROUND = 50
@@ -55,7 +57,7 @@ class Trainer:
         settings: Settings,
         *,
         folder: Path,
-        logs: Columns | None = None,
+        logs: Columns | Stream | None = None,
         source: LiveSource | None = None,
         hooks: Hooks | None = None,
         about: Json | None = None,
@@ -67,7 +69,7 @@ class Trainer:
             task: Widths, arms and reward.
             settings: All constants.
             folder: Where the run's files go.
-            logs: Logged transitions, if any.
+            logs: Logged transitions, if any; or a stream of them.
             source: Live simulations, if any.
             hooks: Evaluation, progress and stop.
             about: JSON-able words that every policy file of the run carries.
@@ -94,16 +96,17 @@ class Trainer:
             raise ConfigError(
                 f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none"
             )
-        store = None if logs is None else LogReplay(logs, task.reward)
-        if store is not None and store.widths != task.widths:
-            raise SpecError(
-                f"logs: expected widths (n_x, n_u, k) = {task.widths}, got {store.widths}; they are of another robot or state"
-            )
-        self.log_transitions = 0 if store is None else len(store)
+        self.stream = logs if isinstance(logs, Stream) else None
+        store = self._logged(logs)
+        self.log_transitions = 0
+        if store is not None:
+            self.log_transitions = self.stream.transitions if self.stream else len(store)
         self.buffer = (
             None
             if source is None
-            else ReplayBuffer(replay.capacity, source.lanes, widths=task.widths, reward=task.reward)
+            else Transitions.ring(
+                replay.capacity, source.lanes, widths=task.widths, reward=task.reward
+            )
         )
         self.replay = MixedReplay(
             replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device
@@ -123,6 +126,7 @@ class Trainer:
             config=settings.learner,
             bounds=bounds,
             seed=loop.seed,
+            average=loop.average,
             device=device,
         )
         self.steps, self.best = 0, dict[str, float]()
@@ -134,6 +138,23 @@ class Trainer:
         )
         self._tally, self._watch = Tally(tuple(task.arms), device=device), Watch(bounds)
         self._elapsed, self._mark = 0.0, (0.0, 0, 0)
+
+    def _logged(self, logs: Columns | Stream | None) -> Transitions | None:
+        """The store of logged transitions.
+
+        Raises:
+            SpecError: if they are of another layout than the task.
+        """
+        if isinstance(logs, Stream):
+            replay, live = self.settings.replay, self.source is not None
+            drawn = round(replay.log_fraction * replay.batch) if live else replay.batch
+            return logs.open(self.task.widths, self.task.reward, drawn=drawn)
+        store = None if logs is None else Transitions.of_logs(logs, self.task.reward)
+        if store is not None and store.widths != self.task.widths:
+            raise SpecError(
+                f"logs: expected widths (n_x, n_u, k) = {self.task.widths}, got {store.widths}; they are of another robot or state"
+            )
+        return store
 
     @property
     def updates(self) -> int:
@@ -172,7 +193,7 @@ class Trainer:
         )
         self._began = time.perf_counter() - self._elapsed
         self._mark = (self._elapsed, self.updates, self.steps)
-        with ThreadPoolExecutor(max_workers=1) as pool:
+        with ThreadPoolExecutor(max_workers=1) as pool, closing(self.stream or ExitStack()):
             while (count := self._owed()) > 0 or self._collects():
                 if self.hooks.should_stop is not None and self.hooks.should_stop():
                     return self._end("stopped")
@@ -190,9 +211,7 @@ class Trainer:
 
     def policy(self) -> Policy:
         """What the run has learnt so far, as a function and file of its own."""
-        return self._policy(
-            self.learner.target_actor if self.settings.loop.averaged else self.learner.actor
-        )
+        return self._policy(self.learner.average_actor)
 
     def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network
@@ -257,16 +276,15 @@ class Trainer:
         self.steps += block.step.size
 
     def _update(self, count: int) -> None:
+        behaviour = self.settings.behaviour
         for _ in range(count):
+            if self.stream is not None:
+                self.stream.feed(self.updates)
             self.learner.slow_down(1.0 - (1.0 - self.settings.loop.final_rate) * self.progress)
-            weight = self.settings.behaviour.at(self.progress)
-            self._tally.add(
-                self.learner.update(
-                    self.replay.sample(self._rng),
-                    behaviour_weight=weight,
-                    effort=self.settings.behaviour.effort,
-                )
-            )
+            pull = {"behaviour_weight": behaviour.at(self.progress), "effort": behaviour.effort}
+            for _ in range(behaviour.extra if self.source is None else 0):
+                self.learner.imitate(self.replay.examples(self._rng), **pull)
+            self._tally.add(self.learner.update(self.replay.sample(self._rng), **pull))
 
     def _pause(self, before: int) -> Event | None:
         """Whatever is due between two rounds."""
@@ -364,6 +382,7 @@ class Trainer:
             "log_transitions": self.log_transitions,
             "steps": self.steps,
             "slots": slots,
+            "stream": self.stream.state() if self.stream is not None else {},
             "best": self.best,
             "evaluated": self._evaluated,
             "seconds": self._elapsed,
@@ -401,6 +420,8 @@ class Trainer:
         if self.source is not None and self.buffer is not None:
             self.source.load_state(under("source.", arrays))
             self.buffer.load(self.folder / "buffer", total=meta["slots"])
+        if self.stream is not None:
+            self.stream.load_state(meta["stream"])
         self.steps, self.best, self._elapsed = meta["steps"], meta["best"], meta["seconds"]
         self._evaluated = meta["evaluated"]
         self._rng = generator_from_json(meta["generators"][0])

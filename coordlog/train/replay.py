@@ -4,7 +4,7 @@ hindsight.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,10 +12,11 @@ import torch
 from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.train.config import ReplayConfig
-from coordlog.train.digrad import Batch
+from coordlog.train.digrad import Batch, Examples
 from coordlog.train.relabel import GoalView, RewardFunction, outcome, reorder, set_goals
 from coordlog.train.returns import Return, n_step
 from coordlog.train.task import Motion, Task
+from coordlog.train.transitions import Transitions
 
 
 class Arrays(NamedTuple):
@@ -42,51 +43,6 @@ class Arrays(NamedTuple):
         return Arrays(*(array[part] for array in self))
 
 
-class Store(Protocol):
-    """Transitions that can be drawn from by row number."""
-
-    def __len__(self) -> int:
-        """Number of transitions."""
-        ...
-
-    @property
-    def widths(self) -> tuple[int, int, int]:
-        """n_x, n_u and k."""
-        ...
-
-    def draw(self, rng: np.random.Generator, size: int) -> Array:
-        """Row numbers, uniform with replacement, (size,) int64."""
-        ...
-
-    def take(self, name: str, rows: Array, out: Array | None = None) -> Array:
-        """A column ("state", "action", "reward", "collision", "instability", "terminated") at some
-        rows of any shape.
-        """
-        ...
-
-    def next_state(self, rows: Array, out: Array | None = None) -> Array:
-        """The states that the steps of some rows (n,) led to, (n, n_x)."""
-        ...
-
-    def ahead(self, rows: Array, n: int) -> tuple[Array, Array]:
-        """Rows of the n steps from each row on, (size, n), and which of them are of its episode;
-        the others repeat the last that is.
-        """
-        ...
-
-    def later(self, rng: np.random.Generator, rows: Array, horizon: int) -> tuple[Array, Array]:
-        """A row drawn uniformly from each row to the last stored one of its episode, or up to a
-        horizon, and the steps it takes, (n,).
-        """
-        ...
-
-    def clean(self, rows: Array, horizon: int) -> Array:
-        """Whether nothing went wrong from each row to the last stored one of its episode, or up to
-        a horizon, (n,) bool.
-        """
-        ...
-
-
 class Horizon(NamedTuple):
     """How returns over several steps are formed."""
 
@@ -95,7 +51,7 @@ class Horizon(NamedTuple):
     cut: bool = False
     """End them before a mishap that a later action led to."""
 
-    def of(self, store: Store, rows: Array) -> tuple[Array, Array]:
+    def of(self, store: Transitions, rows: Array) -> tuple[Array, Array]:
         """Rows of the steps from each row on, (size, n), and which of them count."""
         index, within = store.ahead(rows, self.n)
         if self.cut and self.n > 1:
@@ -106,7 +62,7 @@ class Horizon(NamedTuple):
         return index, within
 
 
-def transitions(store: Store, rows: Array, out: Arrays, horizon: Horizon) -> None:
+def transitions(store: Transitions, rows: Array, out: Arrays, horizon: Horizon) -> None:
     """Write transitions over n steps as they were; `imitated` and `wanted` are left alone."""
     index, within = horizon.of(store, rows)
     found = n_step(
@@ -125,7 +81,9 @@ class Asked(NamedTuple):
     reward: RewardFunction
 
 
-def in_hindsight(store: Store, rows: Array, out: Arrays, asked: Asked, horizon: Horizon) -> None:
+def in_hindsight(
+    store: Transitions, rows: Array, out: Arrays, asked: Asked, horizon: Horizon
+) -> None:
     """Write transitions over n steps as if other goals had been asked for; `imitated` and `wanted`
     are left alone.
 
@@ -163,7 +121,7 @@ def moved(motion: Motion, state: Array, reached: Array, steps: Array) -> Array:
     return np.asarray(np.clip(distance / (motion.stride * steps[:, None]), -1.0, 1.0))
 
 
-def _lead(store: Store, index: Array, found: Return, out: Arrays) -> None:
+def _lead(store: Transitions, index: Array, found: Return, out: Arrays) -> None:
     out.reward[:], out.discount[:, 0] = found.reward, found.discount
     store.next_state(
         index[np.arange(len(index)), found.last] if index.shape[1] > 1 else index[:, 0],
@@ -182,8 +140,8 @@ class MixedReplay:
         task: Task,
         *,
         gamma: float,
-        logs: Store | None = None,
-        live: Store | None = None,
+        logs: Transitions | None = None,
+        live: Transitions | None = None,
         device: str = "cpu",
     ) -> None:
         """Draw from the stores given.
@@ -256,6 +214,17 @@ class MixedReplay:
             reorder(rng, self._task.spheres, self._task.listed, out.state, out.next_state)
         return Batch(*(torch.from_numpy(array).to(self._device) for array in out))
 
+    def examples(self, rng: np.random.Generator) -> Examples:
+        """What was done in logs, as it was done; what something went wrong soon after weighs 0."""
+        assert self._logs is not None
+        rows = self._logs.draw(rng, self._config.batch)
+        state = np.array(self._logs.take("state", rows))
+        if self._config.reorder and self._task.spheres:
+            reorder(rng, self._task.spheres, self._task.listed, state)
+        clean = self._logs.clean(rows, self._config.horizon)[:, None].astype(np.float32)
+        arrays = (state, np.array(self._logs.take("action", rows)), clean)
+        return Examples(*(torch.from_numpy(array).to(self._device) for array in arrays))
+
     def _logged(self) -> int:
         """Number of log transitions in the next batch."""
         if self._logs is None:
@@ -267,7 +236,7 @@ class MixedReplay:
     def _fill(
         self,
         rng: np.random.Generator,
-        store: Store,
+        store: Transitions,
         out: Arrays,
         *,
         share: float,

@@ -49,7 +49,10 @@ TABLES = (
     *("config", "reward", "robot", "layout"),
 )
 """Entries of settings and env that are tables."""
-MUST_AGREE = ("scene", "mode", "env", "seed", "envs", "where", "data", "start")
+MUST_AGREE = (
+    *("scene", "mode", "env", "seed", "envs", "where", "data", "start"),
+    *("window", "collectors"),
+)
 """Keys of run.json that a resumed run may not change."""
 
 

@@ -100,7 +100,7 @@ PRESETS: dict[str, Settings] = {
             n_step=1,
             reorder=False,
         ),
-        loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, averaged=False),
+        loop=LoopConfig(updates=0, steps=600_000, updates_per_step=1.0, block=1, average=0.0),
     ),
 }
 

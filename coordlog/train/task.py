@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, Protocol
 from coordlog.episode import Array
 from coordlog.policies.learned import Policy
 from coordlog.tasks.reach.reward import ended
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block
 from coordlog.train.metrics import Event, Row
 from coordlog.train.relabel import Ended, GoalView, RewardFunction
 

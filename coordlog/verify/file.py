@@ -7,7 +7,6 @@ from the log is. A finding names file, step and field; damaged content is never 
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -17,11 +16,12 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
-from coordlog.record.contents import Contents, contents
+from coordlog.record.contents import Contents, contents, require_room
 from coordlog.record.decoding import decode
 from coordlog.record.messages import Encoder
-from coordlog.record.opening import File, is_own, load, rewritten_by, summary_start
+from coordlog.record.opening import File, summary_start
 from coordlog.record.reader import attachments
+from coordlog.record.recording import Recording
 from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE, walk
 from coordlog.record.schema import column
 from coordlog.spec import JOINT_STATE_TOPIC
@@ -29,7 +29,7 @@ from coordlog.verify.bitflip import locate
 from coordlog.verify.damage import damages
 from coordlog.verify.finding import Finding, Problem
 from coordlog.verify.structure import structure
-from coordlog.verify.values import Rewards, content
+from coordlog.verify.values import content
 
 LEVELS = ("file", "content")
 
@@ -39,52 +39,54 @@ _RECORDED = _COMPARED + 4
 """The same of a message that another tool numbered: after its sequence number."""
 
 
-def check(path: File, *, level: str = "content", rewards: Rewards) -> list[Finding]:
+def check(source: File | Recording, *, level: str = "content") -> list[Finding]:
     """Everything that is wrong with one file, from its bytes upwards; what stands on damaged ground
     is not looked at.
 
     Args:
-        path: The file.
+        source: The file, or a recording, which then has its bytes.
         level: "file" or "content", which includes "file".
-        rewards: The reward equation, to recompute rewards from logged distances and flags.
 
     Raises:
         StorageError: if the file cannot be read.
     """
-    name = os.fspath(path)
+    recording = source if isinstance(source, Recording) else Recording(source)
+    name = recording.source
     try:
-        data = load(path)
+        data = recording.data
     except FormatError as error:
         return [Finding(name, "file", None, "file", "a finished coordlog episode", str(error))]
-    found = [Finding(name, "file", *problem) for problem in _file(data)]
+    found = [Finding(name, "file", *problem) for problem in _file(recording)]
     if found or level == "file":
         return found
-    return [Finding(name, "content", *problem) for problem in _content(data, rewards)]
+    return [Finding(name, "content", *problem) for problem in _content(data)]
 
 
-def rewritten(path: File) -> str:
+def rewritten(source: File | Recording) -> str:
     """What to say of an episode whose bytes another program wrote anew; "" if coordlog did.
 
     Raises:
         FormatError: if the file is no episode.
         StorageError: if it cannot be read.
     """
-    by = rewritten_by(load(path))
-    return f"rewritten by {by}: the bytes differ, every value is checked as it was recorded" * bool(
-        by
-    )
+    recording = source if isinstance(source, Recording) else Recording(source)
+    if not recording.rewritten:
+        return ""
+    said = "the bytes differ, every value is checked as it was recorded"
+    return f"rewritten by {recording.rewritten}: {said}"
 
 
-def _file(data: bytes) -> list[Problem]:
+def _file(recording: Recording) -> list[Problem]:
+    data, spans = recording.data, recording.spans
     try:
-        if not is_own(data):
+        if recording.rewritten:
             return list(_foreign(data))
         start = summary_start(memoryview(data)[-TAIL_SIZE:], len(data))
         found = list(_checksums(data, start))
         if not found:
-            decode(contents(data))
-            attachments(data)
-            found = list(structure(data, start))
+            before = [span for span in spans if span.end <= start]
+            require_room(memoryview(data), before)
+            found = list(structure(data, start, before))
     except FormatError as error:
         return [Problem(None, "file", "a finished episode", str(error))]
     return found
@@ -128,11 +130,11 @@ def _checksums(data: bytes, start: int) -> Iterator[Problem]:
         yield Problem(None, "summary", f"CRC {stored:08x}", f"{zlib.crc32(summary):08x}{where}")
 
 
-def _content(data: bytes, rewards: Rewards) -> list[Problem]:
+def _content(data: bytes) -> list[Problem]:
     found = contents(data)
     try:
         episode = decode(found)
-        return [*_messages(found, episode), *content(episode, rewards)]
+        return [*_messages(found, episode), *content(episode)]
     except (FormatError, SpecError) as error:
         return [Problem(None, "messages", "those of an episode", str(error))]
     except (

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
 
-from coordlog.config import build
-from coordlog.episode import Array, Json
-from coordlog.errors import StorageError
+from coordlog.errors import FormatError, StorageError, TruncatedError, unknown
+from coordlog.monitor import Monitor
+from coordlog.parallel import batches, mapped, shard
 from coordlog.verify.finding import Finding
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
 LEVELS = ("file", "content", "replay")
+BATCH = 32
+"""Files that are replayed together: one simulation each."""
 
 
 class Checked(NamedTuple):
@@ -29,9 +38,90 @@ class Checked(NamedTuple):
     """Steps that were simulated again."""
     notes: tuple[str, ...] = ()
     """What else is worth knowing: files that another program has written anew."""
+    skipped: Mapping[str, str] = MappingProxyType({})
+    """Files that are no episodes, and why."""
+    unfinished: tuple[str, ...] = ()
+    """Parts that no writer has finished."""
 
 
-def check_files(paths: list[Path], *, level: str) -> Checked:
+def check_logs(
+    paths: Sequence[Path],
+    *,
+    level: str = "replay",
+    share: str = "",
+    jobs: int | str = 0,
+    monitor: Monitor | None = None,
+) -> Checked:
+    """Check the episodes that are named, or lie in folders that are named, at any depth.
+
+    Args:
+        paths: Files and folders.
+        level: "file": structure and checksums. "content": and values. "replay": and the physics,
+            bit for bit.
+        share: "I/N": the I-th of N equal shares of the files; "" for all.
+        jobs: Processes, 0 for one per core; or a cluster, see `parallel.mapped`.
+        monitor: Hears of progress.
+
+    Raises:
+        ConfigError: for an unknown level.
+        FormatError: if there is no episode: a proof that looked at nothing is none.
+        StorageError: if a path does not exist.
+    """
+    from coordlog.record.files import find_files, nothing_found
+
+    if level not in LEVELS:
+        raise unknown("level", level, LEVELS)
+    heard = Monitor() if monitor is None else monitor
+    files = find_files(paths)
+    wanted = shard(files.paths, share)
+    left_out = {str(item.path): f"{item.path}: {item.reason}" for item in files.skipped}
+    total = Checked([], {}, 0, 0, skipped=left_out, unfinished=tuple(map(str, files.parts)))
+    with heard.progress(f"checking ({level})", len(wanted)) as progress:
+        work = batches(wanted, BATCH)
+        for group, each in zip(
+            work, mapped(partial(check_files, level=level), work, jobs=jobs), strict=True
+        ):
+            total = total._replace(
+                findings=total.findings + each.findings,
+                inexact=total.inexact | each.inexact,
+                files=total.files + each.files,
+                steps=total.steps + each.steps,
+                notes=total.notes + each.notes,
+                skipped={**total.skipped, **each.skipped},
+            )
+            count = len(total.findings)
+            progress.advance(len(group), f"{count} findings" if count else "")
+    if len(paths) == 1 and str(paths[0]) in total.skipped:
+        raise FormatError(total.skipped[str(paths[0])])
+    if not total.files and not total.findings:
+        for text in left_out_lines(total.skipped.values(), total.unfinished):
+            heard.note(text)
+        raise nothing_found(paths, files._replace(skipped=()))
+    return total
+
+
+def left_out_lines(skipped: Iterable[str], unfinished: Iterable[object]) -> list[str]:
+    """A line for each file that was left out."""
+    return [
+        *(f"skipped: {reason}" for reason in skipped),
+        *(f"unfinished: {name}; `coordlog recover` makes an episode of it" for name in unfinished),
+    ]
+
+
+def _recognised(path: Path, found: list[Finding]) -> tuple[list[Finding], str]:
+    """What was found in a file, if it looks like an episode, or why it is none."""
+    from coordlog.record.reader import probe
+
+    try:
+        probe(path)
+    except TruncatedError as error:
+        return [Finding(str(path), "file", None, "file", "a finished episode", str(error))], ""
+    except (FormatError, StorageError) as error:
+        return [], str(error)
+    return found, ""
+
+
+def check_files(paths: Sequence[Path], *, level: str) -> Checked:
     """Check some files at a level; runs in a process of its own.
 
     Args:
@@ -39,56 +129,41 @@ def check_files(paths: list[Path], *, level: str) -> Checked:
         level: "file": structure and checksums. "content": and values. "replay": and the physics,
             bit for bit.
     """
+    from coordlog.record.recording import Recording
     from coordlog.verify.file import check as check_one
     from coordlog.verify.file import rewritten
+    from coordlog.verify.observed import judged
 
     findings: list[Finding] = []
     notes: list[str] = []
+    observed: dict[str, str] = {}
+    skipped: dict[str, str] = {}
     for path in paths:
+        recording, why = Recording(path), ""
         try:
-            found = check_one(
-                path, level="file" if level == "file" else "content", rewards=logged_rewards
-            )
+            found = check_one(recording, level="file" if level == "file" else "content")
+            if any(item.level == "file" for item in found):
+                found, why = _recognised(path, found)
             findings += found
-            if not found and (note := rewritten(path)):
+            if not found and not why and (note := rewritten(recording)):
                 notes.append(f"{path}: {note}")
-        except StorageError as error:  # it could be read a moment ago
-            said = str(error).removeprefix(f"{path}: ")
-            findings.append(Finding(str(path), "file", None, "file", "a readable file", said))
+            if not found and not why and level != "replay" and recording.observed:
+                observed[str(path)] = judged(recording)
+        except StorageError as error:
+            why = str(error)
+        if why:
+            skipped[str(path)] = why
+    whole = [path for path in paths if str(path) not in skipped]
+    checked = Checked(findings, observed, len(whole), 0, tuple(notes), skipped)
     if level != "replay":
-        return Checked(findings, _observed(paths, findings), len(paths), 0, tuple(notes))
+        return checked
     from coordlog.verify.physics import check_replay
     from coordlog.verify.trial import runnable
 
     damaged = {item.path for item in findings if item.level == "file"}
-    tried = runnable([path for path in paths if str(path) not in damaged])
+    tried = runnable([path for path in whole if str(path) not in damaged])
     findings += tried
     damaged |= {item.path for item in tried}
-    replays = check_replay([path for path in paths if str(path) not in damaged])
+    replays = check_replay([path for path in whole if str(path) not in damaged])
     findings += replays.findings
-    return Checked(findings, replays.inexact, len(paths), replays.steps, tuple(notes))
-
-
-def _observed(paths: list[Path], findings: list[Finding]) -> dict[str, str]:
-    """What is to be said of the episodes that came from outside."""
-    from coordlog.verify.observed import judged
-
-    damaged = {item.path for item in findings}
-    said = {str(path): judged(path) for path in paths if str(path) not in damaged}
-    return {path: text for path, text in said.items() if text}
-
-
-def logged_rewards(
-    distance: Array,
-    boundary: Array,
-    goal: Array,
-    collision: Array,
-    instability: Array,
-    constants: Json,
-) -> Array:
-    """The reward equation with the constants of a log, (T, k)."""
-    from coordlog.tasks.config import RewardConfig
-    from coordlog.tasks.reach.reward import Flags, rewards
-
-    flags = Flags(boundary, goal, collision, instability)
-    return rewards(distance, flags, build(RewardConfig, constants))
+    return checked._replace(inexact=replays.inexact, steps=replays.steps)

@@ -12,7 +12,6 @@ import numpy as np
 
 from coordlog.episode import Array, Episode
 from coordlog.errors import CoordlogError
-from coordlog.record.opening import File
 from coordlog.record.recording import Recording
 
 SLACK = 1e-3
@@ -21,13 +20,12 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 UNPROVEN = "physics, torques and balance cannot be proven"
 
 
-def judged(path: File) -> str:
+def judged(recording: Recording) -> str:
     """One sentence about an observed episode; "" for one that was simulated.
 
     Raises:
         FormatError: if the file is no finished episode.
     """
-    recording = Recording(path)
     if recording.header.kind != "observed":
         return ""
     said = [_speeds(recording.episode)]

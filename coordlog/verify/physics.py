@@ -7,17 +7,15 @@ must agree within tolerances, flags and rewards are not compared, and the caller
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from coordlog.episode import CONTACT, INITIAL_STATE, Array, Episode
+from coordlog.episode import CONTACT, Array, Episode
 from coordlog.errors import CoordlogError
-from coordlog.mjcf import load_attached
 from coordlog.record.opening import File
-from coordlog.record.reader import read_attachments, read_episode
+from coordlog.record.recording import Recording
 from coordlog.sim.replay import Log, exact_here, replay
 from coordlog.sim.traced import Trace
 from coordlog.verify.finding import Finding
@@ -53,12 +51,14 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
     episodes: list[Episode] = []
     logs: list[Log] = []
     for path in paths:
-        name = os.fspath(path)
+        recording = Recording(path)
+        name = recording.source
         try:
-            if said := judged(path):
+            if said := judged(recording):
                 inexact[name] = said
                 continue
-            episode, log = _load(path)
+            episode = recording.episode
+            log = Log.of(episode, recording.model, recording.initial_state)
         except CoordlogError as error:
             findings.append(
                 Finding(name, "replay", None, "model", "one that can be simulated", str(error))
@@ -78,13 +78,6 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
                 Finding(name, "replay", *difference) for difference in compare(episode, trace)
             ]
     return Replays(findings, inexact, sum(len(log.action) for log in logs))
-
-
-def _load(path: File) -> tuple[Episode, Log]:
-    episode, attached = read_episode(path), read_attachments(path)
-    model = load_attached(attached)
-    start = np.frombuffer(attached.get(INITIAL_STATE, b""), dtype=np.float64)
-    return episode, Log.of(episode, model, start)
 
 
 def _replay_each(

@@ -4,36 +4,28 @@ recomputed and compared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 
 import numpy as np
 
-from coordlog.episode import KINDS, Array, Episode, Json
+from coordlog.episode import KINDS, Array, Episode
 from coordlog.record.tally import Tally, task_here
 from coordlog.sim.foreign import TASK
 from coordlog.spec import after, names
-from coordlog.tasks.registry import follow
+from coordlog.tasks.registry import follow, is_installed
 from coordlog.verify.finding import Problem
-
-Rewards = Callable[[Array, Array, Array, Array, Array, Json], Array]
-"""rewards(distance (T, k), boundary (T, k), goal (T, k), collision (T,), instability (T,),
-constants) → (T, k)"""
 
 DIVERGED = "diverged"
 """An abort for this reason may leave values that are not finite in the last step's outcome."""
 
 
-def content(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
+def content(episode: Episode) -> Iterator[Problem]:
     """What is not consistent in an episode; at most the first step of each field."""
     yield from _shapes(episode)
     yield from _times(episode)
     yield from _values(episode)
-    if episode.header.task == "reach" and episode.has("distance"):
-        yield from _flags(episode)
-        yield from _rewards(episode, rewards)
-    else:
-        yield from _task(episode)
+    yield from _task(episode)
     yield from _endings(episode)
     yield from _contacts(episode)
     yield from _path(episode)
@@ -79,22 +71,12 @@ def _values(episode: Episode) -> Iterator[Problem]:
     yield from _broken("action", "values in [-1, 1]", episode.action, np.abs(episode.action) > 1)
 
 
-def _flags(episode: Episode) -> Iterator[Problem]:
-    config = episode.header.env["config"]
-    yield from _first("boundary", episode.distance < config["boundary_radius"], episode.boundary)
-    yield from _first("goal", episode.distance < config["goal_radius"], episode.goal)
-
-
-def _rewards(episode: Episode, rewards: Rewards) -> Iterator[Problem]:
-    flags = (episode.boundary, episode.goal, episode.collision, episode.instability)
-    yield from _first(
-        "reward", rewards(episode.distance, *flags, episode.header.env["reward"]), episode.reward
-    )
-
-
 def _task(episode: Episode) -> Iterator[Problem]:
     """What the task makes of what was measured, where it is installed."""
     task, own = task_here(episode.header), names(after(episode.header.task_fields))
+    if task is None and is_installed(episode.header.task):
+        known = f"constants that the task '{episode.header.task}' knows"
+        yield Problem(None, "metadata coordlog.env", known, "others")
     if task is None or not all(map(episode.has, own)):
         return
     wanted = follow(task, {name: episode.columns[name] for name in own})
@@ -106,9 +88,6 @@ def _endings(episode: Episode) -> Iterator[Problem]:
     """The task ends at its first ending, for one reason; an episode that has none was aborted."""
     limit = episode.header.env["config"].get("max_steps", len(episode))
     last = len(episode) - 1
-    if episode.header.task == "reach" and episode.has("goal"):
-        ends = episode.instability | episode.goal.all(axis=1)
-        yield from _first("terminated", ends, episode.terminated)
     ended = episode.terminated | episode.truncated
     for step in np.flatnonzero(ended[:-1])[:1].tolist():
         yield Problem(step, "terminated", "no step after the episode ended", f"{last - step} more")

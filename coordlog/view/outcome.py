@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from coordlog.episode import Array, Episode
-from coordlog.tasks.reach.observation import StateView
 from coordlog.view.palette import BAD, EXECUTED, FAIR, GOOD, Colour
 from coordlog.view.show import Show
 from coordlog.view.text import plain, title, verdict
@@ -69,7 +68,7 @@ class Outcome:
         episode, header = show.episode, show.episode.header
         arms, goals = header.arms, np.array(header.episode["goals"])
         if episode.has("distance"):
-            palms = StateView.from_json(header.env).physical(episode.state, "palms")
+            palms = episode.physical("palms")
         else:
             arms, goals, palms = (), np.zeros((0, 3)), np.zeros((len(episode) + 1, 0))
         k = len(arms)

@@ -18,10 +18,11 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from coordlog.parallel import batches, mapped
 from coordlog.smooth.batch import Job, smooth_file
@@ -33,6 +34,7 @@ SETTINGS = {"method": "local", "cutoff": "max", "max_deviation": None, "clearanc
 
 
 def main() -> None:
+    """Measure both."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -63,7 +65,7 @@ def killed(folder: Path, n: int) -> str:
     return f"{n} smoothed episodes, byte for byte as without Ray, a worker killed once"
 
 
-def dying(job: Job, *, marker: Path) -> object:
+def dying(job: Job, *, marker: Path) -> Any:
     """Smooth an episode; the first time that anybody gets here, die afterwards."""
     row = smooth_file(job)
     try:
@@ -98,8 +100,8 @@ def gain(folder: Path, n: int) -> dict[str, float]:
     }
 
 
-def _checked(paths: list[Path]) -> int:
-    answer = check_files(paths, level="content")
+def _checked(paths: Sequence[Path]) -> int:
+    answer = check_files(list(paths), level="content")
     assert answer.findings == []
     return answer.files
 
@@ -111,7 +113,7 @@ def cluster(workers: int) -> Iterator[None]:
     os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read when Ray is loaded
     import ray
 
-    quiet = {"logging_level": "ERROR", "log_to_driver": False}
+    quiet: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
     ray.init("local", num_cpus=workers, include_dashboard=False, **quiet)
     try:
         yield

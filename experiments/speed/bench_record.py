@@ -1,23 +1,18 @@
 """What the episode file costs, as ratios measured in one run.
 
-    python experiments/speed/bench_record.py [FOLDER] [--episodes 500] [--json FILE]
+    python -m experiments.speed.bench_record [--episodes 100] [--logs FOLDER] [--json FILE]
 
-FOLDER holds real logs, which are written again (as often as it takes) in the variants that are
-compared; without it the episodes are synthetic: smooth joint paths with full mantissas. The
-variants of one measurement take turns, and the median turn counts. Times are CPU times, which a
-busy machine does not change much; waiting for the disk (fsync) is not in them.
+Logs (a folder of one scene, or some expert episodes at the table recorded first) are written again
+as often as it takes, with the topics for viewing and without, and read by ours, by mcap with
+mcap-ros2-support, and as arrays on disk. Files come from the page cache.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
-import json
-import statistics
 import tempfile
-import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Iterator
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -25,275 +20,93 @@ import pyarrow as pa
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from coordlog.episode import CONTACT, FIELD_KEYS, Episode, Header, Result
-from coordlog.record import dataset
-from coordlog.record.reader import read_attachments, read_episode
-from coordlog.record.writer import BLOCK, EpisodeWriter, write_episode
-from coordlog.spec import REACH, SCHEMA_VERSION, STEP, Layout
+from coordlog import api
+from coordlog.episode import Array, Episode
+from coordlog.record.reader import read_attachments
+from coordlog.record.writer import write_episode
+from coordlog.spec import STEP
+from experiments.speed.clock import Row, medians, show, turns
 
-COLUMNS = [item.name for item in STEP.fields[1:] if item.size != "n_c"]
-ROUNDS = 5
-SLOW = 20  # episodes for the slow reader: it is timed per step
-
-Row = dict[str, float | str]
+COLUMNS = [item.name for item in STEP.fields[1:]]
+SLOW = 10  # episodes for the slow reader: it is timed per step
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", nargs="?", type=Path)
-    parser.add_argument("--episodes", type=int, default=500)
+    """Measure reading, sizes and writing."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--logs", type=Path)
+    parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    episodes, attachments = logs(options.folder, options.episodes)
-    with tempfile.TemporaryDirectory() as folder:
-        rows = [
-            *decoding(Path(folder), episodes, attachments),
-            *sizes(Path(folder), episodes, attachments),
-            *writing(episodes, attachments),
-        ]
-    for row in rows:
-        print(f"{row['what']:58} {row['value']:9.3f} {row['unit']:9} {row['target']}")
-    if options.json:
-        options.json.write_text(json.dumps(rows, indent=1))
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        logs = given.logs or Path(name, "logs")
+        if given.logs is None:
+            api.record("table", episodes=10, noise=0.15, out=logs)
+        show(rows(logs, Path(name), given.episodes), given.json)
 
 
-def logs(folder: Path | None, count: int) -> tuple[list[Episode], dict[str, bytes]]:
-    """So many episodes, and the attachments of one of them."""
-    if folder is None:
-        return [synthetic(np.random.default_rng(seed)) for seed in range(count)], {
-            "model.mjb.zst": np.random.default_rng(0).bytes(14_000)
-        }
-    opened = dataset.open(folder)
-    some = [read_episode(path) for path in opened.paths[:count]]
-    return [some[index % len(some)] for index in range(count)], read_attachments(opened.paths[0])
-
-
-def synthetic(rng: np.random.Generator, length: int = 116) -> Episode:
-    layout = Layout(n_q=34, n_v=33, n_x=34, n_u=13, k=2)
-    speed = np.cumsum(rng.normal(size=(length + 1, layout.n_v)), axis=0) * 0.02
-    angle = rng.uniform(-1, 1, layout.n_q) + np.pad(
-        np.cumsum(speed, axis=0) * 0.04, ((0, 0), (0, 1))
-    )
-    distance = np.abs(np.cumsum(rng.normal(size=(length, layout.k)), axis=0)) * 0.02
-    flags = {
-        name: np.zeros(length, bool)
-        for name in ("collision", "instability", "terminated", "truncated")
+def rows(logs: Path, folder: Path, count: int) -> Iterator[Row]:
+    """Everything about so many episodes."""
+    opened = api.open(logs)
+    some, attached = list(opened), read_attachments(opened.paths[0])
+    many = list(islice(cycle(some), count))
+    sizes = {}
+    for name, shown in (("plain", False), ("shown", True)):
+        (folder / name).mkdir()
+        for index, episode in enumerate(many):
+            write(folder / name / f"{index:05}.mcap", episode, attached, display=shown)
+        files = [folder / name / f"{index:05}.mcap" for index in range(len(some))]
+        sizes[name] = sum(file.stat().st_size for file in files) / sum(map(len, some))
+    yield from reading(folder, many)
+    yield Row("size without topics for viewing", sizes["plain"], "B/step")
+    yield Row("size with them", sizes["shown"], "B/step")
+    written = {
+        name: lambda shown=shown: write(folder / "w.mcap", some[0], attached, display=shown)
+        for name, shown in (("without topics for viewing", False), ("with them", True))
     }
-    header = Header(
-        episode={
-            "schema_version": SCHEMA_VERSION,
-            "start_time": 1_700_000_000_000_000_000,
-            "control_period": 0.04,
-            **dict.fromkeys(("id", "run", "robot", "scene", "split", "start"), ""),
-            **{"seed": 0, "index": 0, "goals": [[0, 0, 0]] * 2, "obstacles": []},
-        },
-        env={
-            "task": {
-                "name": "reach",
-                "fields": [{key: getattr(item, key) for key in FIELD_KEYS} for item in REACH],
-            },
-            **dict.fromkeys(("coordlog_version", "mujoco_version", "architecture"), ""),
-            **{"reward": {}, "config": {}, "robot": {"name": "synthetic"}},
-            **{"actuators": [], "geoms": [], "action_joints": [], "state": []},
-            "layout": vars(layout),
-            "arms": {"left": [0], "right": [1]},
-            "joints": [
-                {"name": f"joint_{index}", "qpos": 7 + index, "qvel": 6 + index}
-                for index in range(27)
-            ],
-        },
-        policy={"kind": "synthetic", "name": "", "checkpoint_sha256": "", "noise": {}},
-    )
-    return Episode(
-        header=header,
-        result=Result(length, (), False, False, False, False, "synthetic", ""),
-        time=np.arange(length + 1) * 0.04,
-        qpos=angle,
-        qvel=speed,
-        state=np.tanh(angle[:, np.arange(34)]).astype(np.float32),
-        action=rng.uniform(-1, 1, (length, layout.n_u)).astype(np.float32),
-        reward=-distance,
-        distance=distance,
-        boundary=distance < 0.1,
-        goal=distance < 0.03,
-        contacts=np.empty(0, CONTACT),
-        **flags,
-    )
+    for name, seconds in medians(turns(written, repeat=5)).items():
+        yield Row(f"writing {name}", seconds / len(some[0]) * 1e6, "µs/step")
 
 
-def decoding(folder: Path, episodes: list[Episode], attachments: dict[str, bytes]) -> list[Row]:
+def reading(folder: Path, many: list[Episode]) -> Iterator[Row]:
     """Logs to Arrow columns, against a general reader and against arrays on disk."""
-    plain, shown, arrays = folder / "plain", folder / "shown", folder / "arrays"
-    for path in (plain, shown, arrays):
-        path.mkdir()
-    for index, episode in enumerate(episodes):
-        write_episode(plain / f"{index:05}.mcap", episode, attachments=attachments, display=False)
-        write_episode(shown / f"{index:05}.mcap", episode, attachments=attachments, display=True)
+    for index, episode in enumerate(many):
         columns = {name: getattr(episode, name)[: len(episode)] for name in COLUMNS}
-        np.savez(arrays / f"{index:05}.npz", **columns)
+        np.savez(folder / f"{index:05}.npz", **columns)
         for name, column in columns.items():
-            np.save(arrays / f"{index:05}.{name}.npy", column)
-    count, steps = len(episodes), sum(map(len, episodes))
-    slow = sum(map(len, episodes[:SLOW]))
-    seconds = turns(
-        {
-            "ours": lambda: dataset.open(plain).to_table(),
-            "ours, display topics on": lambda: dataset.open(shown).to_table(),
-            "npz": lambda: [load_npz(arrays / f"{index:05}.npz") for index in range(count)],
-            "npy": lambda: [load_npy(arrays, f"{index:05}") for index in range(count)],
-            "mcap-ros2": lambda: [
-                with_ros2(plain / f"{index:05}.mcap") for index in range(min(SLOW, count))
-            ],
-            "mcap-ros2, display topics on": lambda: [
-                with_ros2(shown / f"{index:05}.mcap") for index in range(min(SLOW, count))
-            ],
-        }
+            np.save(folder / f"{index:05}.{name}.npy", column)
+    few = range(min(SLOW, len(many)))
+    seconds = medians(
+        turns(
+            {
+                "ours": lambda: api.open(folder / "plain").to_table(),
+                "ours, topics for viewing on": lambda: api.open(folder / "shown").to_table(),
+                "npz": lambda: [load_npz(folder / f"{i:05}.npz") for i in range(len(many))],
+                "npy": lambda: [load_npy(folder, f"{i:05}") for i in range(len(many))],
+                "mcap-ros2": lambda: [with_ros2(folder / "plain" / f"{i:05}.mcap") for i in few],
+            }
+        )
     )
-    per_step = {
-        name: value / (slow if name.startswith("mcap") else steps) * 1e6
-        for name, value in seconds.items()
-    }
-    ours, display = per_step["ours"], per_step["ours, display topics on"]
-    return [
-        *(
-            {
-                "what": f"decode {count} episodes: {name}",
-                "value": value,
-                "unit": "µs/step",
-                "target": "",
-            }
-            for name, value in per_step.items()
-        ),
-        ratio("mcap-ros2 / ours", per_step["mcap-ros2"] / ours, "≥ 10"),
-        ratio(
-            "mcap-ros2 / ours, display topics on",
-            per_step["mcap-ros2, display topics on"] / display,
-            "≥ 10",
-        ),
-        ratio("ours / np.load of one .npz per episode", ours / per_step["npz"], "≤ 1.0"),
-        ratio("ours / np.load of one .npy per array", ours / per_step["npy"], "≤ 1.0"),
-        ratio("ours, display topics on / one .npz per episode", display / per_step["npz"], ""),
-        ratio("ours, display topics on / one .npy per array", display / per_step["npy"], ""),
-    ]
-
-
-def sizes(folder: Path, episodes: list[Episode], attachments: dict[str, bytes]) -> list[Row]:
-    """Bytes per step against Arrow IPC with zstd, one file per episode as well."""
-    distinct = list({id(episode): episode for episode in episodes}.values())
-    steps, arrow = sum(map(len, distinct)), 0
-    for index, episode in enumerate(distinct):
-        path = folder / "one.mcap"
-        write_episode(path, episode, attachments={}, display=False)
-        table = dataset.open(path).to_table().drop_columns(["episode"])
-        path.unlink()
-        arrow_file = folder / f"{index}.arrow"
-        with pa.ipc.new_file(
-            arrow_file, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")
-        ) as writer:
-            writer.write_table(table)
-        arrow += arrow_file.stat().st_size
-        arrow_file.unlink()
-    plain = total(folder, distinct, {}, display=False)
-    shown, attached = (
-        total(folder, distinct, {}, display=True),
-        total(folder, distinct, attachments, display=False),
-    )
-    rows: list[Row] = [
-        {"what": f"size: {name}", "value": value / steps, "unit": "B/step", "target": ""}
-        for name, value in {
-            "Arrow IPC, zstd": arrow,
-            "ours, without display topics and attachments": plain,
-            "display topics": shown - plain,
-            "attachments": attached - plain,
-        }.items()
-    ]
-    return [
-        *rows,
-        ratio("ours / Arrow IPC, zstd", plain / arrow, "≤ 1.3"),
-        ratio("ours with display topics / Arrow IPC, zstd", shown / arrow, ""),
-    ]
-
-
-def writing(episodes: list[Episode], attachments: dict[str, bytes]) -> list[Row]:
-    """Encoding and writing: a block of steps, and what an episode costs besides."""
-    rows: list[Row] = []
-    for display in (False, True):
-        steps: list[float] = []
-        ends: list[float] = []
-        with tempfile.TemporaryDirectory() as folder:
-            for index, episode in enumerate(episodes[:200]):
-                one, both = timed_write(
-                    Path(folder) / f"{index}.mcap", episode, attachments, display=display
-                )
-                steps.append(one)
-                ends.append(both)
-        kind = "display topics on" if display else "display topics off"
-        rows.append(
-            {
-                "what": f"write blocks of {BLOCK}, {kind}",
-                "value": statistics.median(steps),
-                "unit": "µs/step",
-                "target": "",
-            }
+    steps, slow = sum(map(len, many)), sum(len(many[index]) for index in few)
+    ours = seconds["ours"] / steps
+    for name, taken in seconds.items():
+        yield Row(
+            f"reading: {name}", taken / (slow if name == "mcap-ros2" else steps) * 1e6, "µs/step"
         )
-        rows.append(
-            {
-                "what": f"open and finish an episode, {kind}",
-                "value": statistics.median(ends),
-                "unit": "µs",
-                "target": "",
-            }
-        )
-    return rows
+    yield Row("mcap-ros2 / ours", seconds["mcap-ros2"] / slow / ours, target="≥ 20")
+    for kind in ("npz", "npy"):
+        yield Row(f"ours / np.load of .{kind}", seconds["ours"] / seconds[kind], target="≤ 0.6")
 
 
-def timed_write(
-    path: Path, episode: Episode, attachments: dict[str, bytes], *, display: bool
-) -> tuple[float, float]:
-    """CPU µs per step for the blocks, and CPU µs for everything else."""
-    blocks = []
-    for first in range(0, len(episode), BLOCK):
-        stop = min(first + BLOCK, len(episode))
-        low, high = np.searchsorted(episode.contacts["step"], (first, stop))
-        blocks.append(
-            (
-                first,
-                {name: getattr(episode, name)[first:stop] for name in COLUMNS},
-                episode.contacts[low:high],
-            )
-        )
-    begun = time.process_time()
-    with EpisodeWriter(path, episode.header, attachments=attachments, display=display) as writer:
-        opened = time.process_time()
-        for first, columns, contacts in blocks:
-            writer.write_steps(first, columns, contacts=contacts)
-        written = time.process_time()
-        writer.finish(
-            {name: episode.columns[name][-1] for name in episode.before},
-            aborted=episode.result.aborted,
-        )
-    return (written - opened) / len(episode) * 1e6, (
-        time.process_time() - written + opened - begun
-    ) * 1e6
-
-
-def total(
-    folder: Path, episodes: list[Episode], attachments: dict[str, bytes], *, display: bool
-) -> int:
-    size = 0
-    for episode in episodes:
-        path = folder / "size.mcap"
-        write_episode(path, replace(episode), attachments=attachments, display=display)
-        size += path.stat().st_size
-        path.unlink()
-    return size
+def write(path: Path, episode: Episode, attached: dict[str, bytes], *, display: bool) -> None:
+    """Write an episode again, over what was there."""
+    path.unlink(missing_ok=True)
+    write_episode(path, episode, attachments=attached, display=display)
 
 
 def with_ros2(path: Path) -> pa.Table:
     """The same table with mcap and mcap-ros2-support, as their documentation shows it."""
-    columns: dict[str, list[object]] = {item.name: [] for item in STEP.fields}
+    columns: dict[str, list[object]] = {name: [] for name in COLUMNS}
     with open(path, "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         for decoded in reader.iter_decoded_messages(topics=[STEP.topic]):
@@ -302,38 +115,15 @@ def with_ros2(path: Path) -> pa.Table:
     return pa.table(columns)
 
 
-def load_npz(path: Path) -> dict[str, np.ndarray]:
+def load_npz(path: Path) -> dict[str, Array]:
+    """All arrays of an episode in one file."""
     with np.load(path) as arrays:
         return {name: arrays[name] for name in COLUMNS}
 
 
-def load_npy(folder: Path, stem: str) -> dict[str, np.ndarray]:
+def load_npy(folder: Path, stem: str) -> dict[str, Array]:
+    """All arrays of an episode, a file each."""
     return {name: np.load(folder / f"{stem}.{name}.npy") for name in COLUMNS}
-
-
-def turns(variants: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median CPU seconds of each variant, one after the other in every round.
-
-    Files come from the page cache.
-    """
-    seconds: dict[str, list[float]] = {name: [] for name in variants}
-    for _ in range(ROUNDS):
-        for name, run in variants.items():
-            gc.collect()
-            begun = time.process_time()
-            result = run()
-            seconds[name].append(time.process_time() - begun)
-            del result
-    return {name: statistics.median(values) for name, values in seconds.items()}
-
-
-def ratio(what: str, value: float, target: str) -> Row:
-    return {
-        "what": what,
-        "value": value,
-        "unit": "×",
-        "target": f"(target {target})" if target else "",
-    }
 
 
 if __name__ == "__main__":

@@ -1,178 +1,274 @@
-"""What smoothing costs, as ratios within one run.
+"""What smoothing does to our own logs, beside the paper and beside other tools; one verifier for
+all.
 
-    python experiments/speed/bench_smooth.py [--problems FILE.py:FUNCTION] [--count N] [--length K]
+    python -m experiments.speed.bench_smooth [--logs FOLDER] [--count 3] [--peers 1] [--plain 1]
 
-Processor time of one thread (set OMP_NUM_THREADS=1), medians over problems, the rivals taking turns
-on the same one. FUNCTION(rng, n) draws a problem with n knots: time (n,), q (n, n_j), checker. The
-default is a planar arm among discs, whose checker is vectorised NumPy: cheap in blocks. A rival
-that asks about one configuration at a time would look worse beside it than beside a physics engine,
-so the plain algorithm asks here about all knots at once; what does not depend on the checker is the
-number of configurations asked about.
+FOLDER has noisy logs of several scenes; without it some expert logs of each are recorded first.
+The verifier shares no code with the search: MuJoCo's own collisions at 16 samples per knot. A path
+passes if at every sample nothing touches (10 µm), the centre of mass is over the feet with the
+task's margin, joints are within their ranges (1 mrad), and the end points are exact (1 µrad).
+Processor time; medians over logs with 95 % bootstrap intervals.
 """
 
 from __future__ import annotations
 
 import argparse
-import runpy
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
+from typing import Any
 
+import mujoco
 import numpy as np
-from csaps import csaps
-from scipy.interpolate import make_smoothing_spline
+from scipy.spatial import ConvexHull
 
-from coordlog.smooth import cutoff, smooth
-from coordlog.smooth.spline import Grid
+from coordlog import api
+from coordlog.episode import Array
+from coordlog.kinematics.clearance import SceneChecker
+from coordlog.record.recording import Recording
+from coordlog.sim.replay import Log, bound_task
+from coordlog.sim.tracking import run
+from coordlog.smooth import metrics
+from coordlog.smooth.execute import execute, follow, worse
+from coordlog.smooth.knots import clean
+from coordlog.smooth.metrics import PathLoad
+from coordlog.smooth.recorded import smooth_motion
+from coordlog.tasks.scene import sole_corner
+from experiments import tables
+from experiments.speed import smoothers
+from experiments.stats import median_interval
 
-DEFAULT = f"{Path(__file__).parents[2] / 'tests' / 'smooth' / 'planar.py'}:noisy_log"
+OURS: dict[str, dict[str, Any]] = {
+    "local, 5 mm": {"method": "local", "ends": "soft", "clearance": 0.005},
+    "local": {"method": "local", "ends": "soft"},
+    "local, rest ends": {"method": "local", "ends": "rest"},
+    "local, 0.1 rad": {"method": "local", "ends": "soft", "max_deviation": 0.1},
+    "shared": {"method": "shared", "ends": "soft"},
+    "paper, proven": {"method": "paper"},
+    "paper, knots": {"method": "paper", "dense": 1, "certify": False},
+}
+EVERYWHERE = ("local, 5 mm", "local", "paper, proven", "paper, knots")
+"""Of ours, what smooths every log; the rest smooth the logs that the others do."""
+DENSE = 16
+COLUMNS = ("jerk", "torque", "path_torque", "deviation", "cpu")
+RATIOS = (
+    ("local", "paper, proven", "jerk"),
+    ("local", "paper, proven", "torque"),
+    ("local", "paper, proven", "path_torque"),
+    ("local", "paper, proven", "cpu"),
+    ("local", "paper, knots", "cpu"),
+    ("local", "paper, plainly", "cpu"),
+    ("local", "paper, plainly, all knots in one call", "cpu"),
+    ("paper, knots", "paper, plainly", "cpu"),
+)
+Rows = dict[str, dict[str, Any]]
 
 
-def exact_ends(n):
-    weight = np.ones(n)
-    weight[[0, -1]] = np.inf
-    return weight
+class Bench:
+    """One log, and everything that is asked about it."""
 
-
-def timed(call, repeat):
-    began = process_time()
-    for _ in range(repeat):
-        result = call()
-    return (process_time() - began) / repeat, result
-
-
-def bench_fits(rng, n=150):
-    """One fit of all joints, for one λ, against csaps and scipy with the same weights."""
-    print(f"\nfit, {n} knots           own       csaps at once    csaps per joint    scipy")
-    for joints in (1, 13, 27):
-        calls = fits(np.cumsum(0.01 * rng.normal(size=(n, joints)), axis=0), np.arange(n) * 0.02)
-        for call in calls.values():  # the first call of each warms up
-            call()
-        seconds, answers = {}, {}
-        for name, call in calls.items():
-            seconds[name], answers[name] = timed(call, 200 if name == "own" else 5)
-        away = max(abs(answers[name] - answers["own"]).max() for name in calls)
-        ratios = "".join(
-            f"{seconds[name] / seconds['own']:14.1f} x" for name in ("all", "each", "scipy")
+    def __init__(self, path: Path) -> None:
+        recording = Recording(path)
+        self.episode = recording.episode
+        self.log = Log.of(self.episode, recording.model, recording.initial_state)
+        self.task = bound_task(self.log)
+        self.time, self.q = self.episode.time, self.episode.qpos[:, self.task.qpos_index]
+        self.knots, self.model = clean(self.time, self.q), recording.model
+        self.checker = SceneChecker(
+            self.model,
+            self.task.robot,
+            self.task.config,
+            time=self.time,
+            qpos=self.episode.qpos,
+            initial=self.log.start,
         )
-        print(
-            f"{joints:3d} joints     {1e6 * seconds['own']:8.0f} us{ratios}      (all agree to {away:.0e} rad)"
+        self.pairs = {tuple(pair) for pair in self.checker.pairs.tolist()}
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_setState(
+            self.model, self.data, self.log.start, mujoco.mjtState.mjSTATE_INTEGRATION
         )
+        self.corners = [
+            self.model.site(sole_corner(sole, i)).id
+            for sole in self.task.robot.soles
+            for i in range(4)
+        ]
+        self.mass = self.model.body_mass / self.model.body_mass.sum()
+        self.load = self.loads(smoothers.through(self.time, self.q))
 
+    def loads(self, path: Any) -> PathLoad:
+        """What a path alone asks of servos and feet."""
+        return PathLoad.of(path, self.checker.inverse, self.knots.unit)
 
-def fits(q, time):
-    """The same fit by four roads."""
-    weight, lam, grid = (
-        exact_ends(len(time)),
-        float(cutoff.lam_from_cutoff(2.0, time[1])),
-        Grid(time, clamped=False),
-    )
-    p = float(cutoff.p_from_lam(lam, 1.0))
-    return {
-        "own": lambda: grid.fit(q, lam=lam, weight=weight).position,
-        "all": lambda: csaps(time, q.T, time, smooth=p, weights=weight).T,
-        "each": lambda: np.stack(
-            [csaps(time, column, time, smooth=p, weights=weight) for column in q.T], axis=1
-        ),
-        "scipy": lambda: make_smoothing_spline(time, q, w=weight, lam=lam)(time),
-    }
+    def stands(self, qpos: Array) -> str:
+        """What is wrong with a configuration (n_q,); "" if nothing is."""
+        model, data = self.model, self.data
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact:
+            if contact.dist < -1e-5 and tuple(sorted(contact.geom.tolist())) in self.pairs:
+                return "collision"
+        edges = ConvexHull(data.site_xpos[self.corners, :2]).equations
+        over = -(edges[:, :2] @ (self.mass @ data.xipos)[:2] + edges[:, 2]).max()
+        return "" if over >= self.task.config.balance_margin - 1e-6 else "balance"
 
+    def free(self, row: int, q: Array) -> bool:
+        """Whether the action joints may stand at q while the rest is as in `row` of the log."""
+        if (q < self.task.limits[:, 0] - 1e-3).any() or (q > self.task.limits[:, 1] + 1e-3).any():
+            return False
+        qpos = self.episode.qpos[row].copy()
+        qpos[self.task.qpos_index] = q
+        return not self.stands(qpos)
 
-def plain(time, q, checker, *, precision=1e-6):
-    """The paper written plainly: csaps for one joint at each step, all knots checked.
+    def verify(self, path: Any) -> str:
+        """Why a path does not pass; "" if it does."""
+        samples = np.linspace(path.time[0], path.time[-1], DENSE * (len(self.time) - 1) + 1)
+        q = path(samples)
+        if max(abs(q[0] - self.q[0]).max(), abs(q[-1] - self.q[-1]).max()) > 1e-6:
+            return "ends"
+        if (q < self.task.limits[:, 0] - 1e-3).any() or (q > self.task.limits[:, 1] + 1e-3).any():
+            return "limits"
+        columns = [np.interp(samples, self.time, column) for column in self.episode.qpos.T]
+        qpos = np.stack(columns, axis=1)
+        qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+        qpos[:, self.task.qpos_index] = q
+        return next((fault for fault in map(self.stands, qpos) if fault), "")
 
-    P of each joint.
-    """
-    index, weight, path, ps = np.arange(len(time)), exact_ends(len(time)), q.copy(), []
-    for joint in range(q.shape[1]):
-        lower, upper = 0.0, 1.0
-        while upper - lower >= precision:
-            middle, candidate = (lower + upper) / 2, path.copy()
-            candidate[:, joint] = csaps(index, q[:, joint], index, smooth=middle, weights=weight)
-            if checker.check(time, candidate, 0.0).free.all():
-                upper = middle
-            else:
-                lower = middle
-        path[:, joint] = csaps(index, q[:, joint], index, smooth=upper, weights=weight)
-        ps.append(upper)
-    return np.array(ps)
-
-
-def bench_methods(problems):
-    """Each method against the plain paper on the same problems."""
-    options = {
-        "paper, knots": {"method": "paper", "dense": 1, "certify": False},
-        "paper, proven": {"method": "paper"},
-        "shared, proven": {"method": "shared"},
-        "local, proven": {"method": "local"},
-        "local, 5 mm": {"method": "local", "clearance": 0.005},
-    }
-    cpu, asked, worst_p = [], [], 0.0
-    results = {name: [] for name in options}
-    for time, q, checker in problems:
-        began = process_time()
-        ps = plain(time, q, checker)
-        cpu.append(process_time() - began)
-        asked.append(len(time) * 20 * q.shape[1])
-        for name, option in options.items():
-            results[name].append(smooth(time, q, checker, **option))
-        if results["paper, knots"][-1].status in ("smoothed", "partly"):
-            worst_p = max(worst_p, abs(results["paper, knots"][-1].p - ps).max())
-    print(
-        f"\n{len(problems)} problems: the paper written plainly takes {1e3 * np.median(cpu):.0f} ms and {np.median(asked):.0f} checks"
-    )
-    print(f"the fast paper's p differs from it by at most {worst_p:.1e}")
-    print("method           faster  fewer checks   checks  slacks     ms   jerk/raw    statuses")
-    for name, found in results.items():
-        speed = np.median(
-            [plainly / result.cpu for plainly, result in zip(cpu, found, strict=True)]
-        )
-        fewer = np.median(
-            [n / (result.checks + result.slacks) for n, result in zip(asked, found, strict=True)]
-        )
-        checks, slacks = (
-            int(np.median([getattr(result, kind) for result in found]))
-            for kind in ("checks", "slacks")
-        )
-        rough = np.median([result.after.jerk / result.before.jerk for result in found])
-        statuses = {
-            status: sum(result.status == status for result in found)
-            for status in sorted({r.status for r in found})
+    def figures(self, path: Any, *, cpu: float, torque: float | None, worse: str) -> dict[str, Any]:
+        """A row of the table, relative to the log's own."""
+        dt = self.knots.unit
+        q = path(np.linspace(path.time[0], path.time[-1], len(self.time)))
+        return {
+            "fault": self.verify(path),
+            "executed": worse,
+            "jerk": metrics.jerk(q, dt) / metrics.jerk(self.q, dt),
+            "torque": torque,
+            "path_torque": self.loads(path).rate / self.load.rate,
+            "deviation": float(abs(path(self.time) - self.q).max()),
+            "cpu": cpu,
         }
-        ms = 1e3 * np.median([result.cpu for result in found])
-        print(
-            f"{name:15s} {speed:6.1f} x {fewer:10.1f} x {checks:8d} {slacks:7d} {ms:6.1f} {rough:10.5f}    {statuses}"
+
+
+def measure(bench: Bench, *, with_peers: bool, with_plain: bool) -> Rows:
+    """Rows of one log: method → figures."""
+    log, episode, period = bench.log, bench.episode, bench.task.config.control_period
+    again = run(log, lambda step, _: log.action[step], steps=len(log.action))
+    torque = metrics.torque_rate(again.torque, period)
+    raw = smoothers.through(bench.time, bench.q)
+    rows: Rows = {"the log": bench.figures(raw, cpu=0.0, torque=1.0, worse="")}
+    results = {}
+    for name, how in OURS.items():
+        if name not in EVERYWHERE and not with_peers:
+            continue
+        settings = {key: value for key, value in how.items() if key != "ends"}
+        began = process_time()
+        result, _ = smooth_motion(
+            log, bench.time, episode.qpos, ends=how.get("ends", "natural"), settings=settings
         )
+        cpu = process_time() - began
+        results[name], ran = result, execute(log, result, episode)
+        rows[name] = bench.figures(
+            result.spline,
+            cpu=cpu,
+            torque=ran.smoothed.rate / torque if ran.smoothed else 1.0,
+            worse=ran.reason if ran.run is None else "",
+        ) | {"status": ran.status, "certified": result.certified}
+    for name, call in others(bench, with_peers=with_peers, with_plain=with_plain).items():
+        began = process_time()
+        found = call()
+        cpu = process_time() - began
+        if name.startswith("paper"):
+            found, ps = found
+            rows["paper, knots"]["p_away"] = float(abs(results["paper, knots"].p - ps).max())
+        as_ours = replace(results["local, 5 mm"], spline=found)
+        drove = follow(log, as_ours, bench.q, arrives=episode.result.success)
+        rows[name] = bench.figures(
+            found,
+            cpu=cpu,
+            torque=metrics.torque_rate(drove.torque, period) / torque,
+            worse=worse(drove, episode),
+        )
+    return rows
 
 
-def bench_growth(draw, rng):
-    """Time and checks per knot as a path grows: the same kind of motion, over and over."""
-    print(
-        "\nlocal, growth with length: knots      ms    us/knot   checks/knot   slacks/knot   status"
-    )
-    time, q, checker = draw(rng, 150)
-    back = np.concatenate(
-        [q, q[-2:0:-1]]
-    )  # there and back again, so that the motion repeats without a jump
-    for repeat in (1, 10, 100):
-        n = 150 * repeat
-        path = np.resize(back, (n, q.shape[1]))
-        result = smooth(np.arange(n) * (time[1] - time[0]), path, checker)
-        row = f"{1e3 * result.cpu:8.0f} {1e6 * result.cpu / n:9.0f} {result.checks / n:12.1f} {result.slacks / n:13.2f}"
-        print(f"                           {n:6d} {row}     {result.status}")
+def others(bench: Bench, *, with_peers: bool, with_plain: bool) -> dict[str, Callable[[], Any]]:
+    """Other people's ways, ready to be called."""
+    time, q, middle = bench.time, bench.q, len(bench.q) // 2
+    calls: dict[str, Callable[[], Any]] = {}
+    if with_peers:
+        calls = {
+            "EMA 0.25": lambda: smoothers.exponential(time, q),
+            "Savitzky-Golay 21, 3": lambda: smoothers.savitzky_golay(time, q),
+            "Butterworth 3 Hz": lambda: smoothers.butterworth(time, q),
+            "scipy GCV": lambda: smoothers.cross_validated(time, q),
+            "OMPL simplify + min-jerk": lambda: smoothers.ompl_simplify(
+                time, q, bench.task.limits, lambda at: bench.free(middle, at)
+            ),
+        }
+    if with_plain:
+        calls["paper, plainly"] = lambda: smoothers.paper_plainly(
+            time, q, lambda path: all(bench.free(i, at) for i, at in enumerate(path))
+        )
+        calls["paper, plainly, all knots in one call"] = lambda: smoothers.paper_plainly(
+            time, q, lambda path: bool(bench.checker.check(time, path, 0.0).free.all())
+        )
+    return calls
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
-    parser.add_argument("--problems", default=DEFAULT, help="FILE.py:FUNCTION that draws a problem")
-    parser.add_argument("--count", type=int, default=10, help="problems")
-    parser.add_argument("--length", type=int, default=150, help="knots of each")
-    arguments = parser.parse_args()
-    file, function = arguments.problems.rsplit(":", 1)
-    draw = runpy.run_path(file)[function]
-    rng = np.random.default_rng(1)
-    bench_fits(rng)
-    bench_methods([tuple(draw(rng, n=arguments.length)) for _ in range(arguments.count)])
-    bench_growth(lambda rng, n: draw(rng, n=n), rng)
+def show(every: Sequence[Rows]) -> None:
+    """The table, and what `local` is better by, log by log."""
+    print(f"\n{'method':40} {'n':>3} {'pass':>4} {'exec':>4}", *(f"{c:>24}" for c in COLUMNS))
+    for name in dict.fromkeys(name for rows in every for name in rows):
+        rows = [each[name] for each in every if name in each]
+        good = [sum(not row[key] for row in rows) for key in ("fault", "executed")]
+        texts = [text([row[key] for row in rows if row[key] is not None]) for key in COLUMNS]
+        print(
+            f"{name:40} {len(rows):3} {good[0]:4} {good[1]:4}", *(f"{each:>24}" for each in texts)
+        )
+    for ours, other, key in RATIOS:
+        both = [rows for rows in every if ours in rows and other in rows]
+        if both:
+            found = text([rows[other][key] / rows[ours][key] for rows in both])
+            print(f"{key} of {other} / {ours}: {found}, n = {len(both)}")
+    away = [rows["paper, knots"].get("p_away", 0.0) for rows in every]
+    print(f"largest difference of p between `paper` and the plain version: {max(away):.1e}")
+
+
+def text(values: Sequence[float]) -> str:
+    """Median and interval."""
+    found = median_interval(values)
+    return "-" if found is None else "{median:.4g} ({low:.3g}-{high:.3g})".format(**found)
+
+
+def main() -> None:
+    """Measure every log, and print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--logs", type=Path)
+    parser.add_argument("--count", type=int, default=3, help="logs of each scene")
+    parser.add_argument("--peers", type=int, default=1, help="of them, for the other tools")
+    parser.add_argument("--plain", type=int, default=1, help="of them, for the paper plainly")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    found: list[Rows] = []
+    seen: dict[str, int] = {}
+    with tempfile.TemporaryDirectory() as name:
+        for scene in tables.SCENES if given.logs is None else ():
+            api.record(scene, episodes=given.count, noise=0.15, out=name)
+        for path in api.open(given.logs or name).paths:
+            bench = Bench(path)
+            scene = bench.episode.header.episode["scene"]
+            at = seen[scene] = seen.get(scene, -1) + 1
+            if at < given.count:
+                asked = {"with_peers": at < given.peers, "with_plain": at < given.plain}
+                found.append(measure(bench, **asked))
+                print(f"{len(found)} logs", file=sys.stderr, flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1))
+    show(found)
 
 
 if __name__ == "__main__":

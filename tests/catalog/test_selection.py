@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coordlog.catalog.gather import gather
-from coordlog.catalog.index import Catalog
 from coordlog.catalog.selection import Split, difference, select
 from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.record import manifest
@@ -104,7 +103,7 @@ def test_a_split_is_whole_and_keeps_equal_goals_together(logs: Path, tmp_path: P
     chosen = select(gather([logs]), split=how, out=tmp_path / "x.manifest")
     assert len(chosen.chosen) == 30
     seen: dict[str, set[str]] = {}
-    rows = Catalog(logs).episodes().to_pylist()
+    rows = gather([logs]).episodes().to_pylist()
     goals = {row["digest"]: row["goal"] for row in rows}
     for each in chosen.chosen:
         seen.setdefault(goals[each.digest], set()).add(each.part)
@@ -165,7 +164,7 @@ def test_episodes_that_are_gone_or_changed_are_listed(logs: Path, tmp_path: Path
     assert len(found.paths) == 28
     assert sorted(path.name for path, _ in found.left_out) == ["03.mcap", "04.mcap"]
     assert all(reason.startswith("gone: no file with the sha256") for _, reason in found.left_out)
-    assert len([text for text in gather([out]).left_out if "gone" in text]) == 2
+    assert len([text for text in gather([out]).skipped if "gone" in text.reason]) == 2
 
 
 def test_versions_follow_one_another_and_none_is_lost(logs: Path, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_damaged_file_stops_the_export_or_is_named(tmp_path):
     ("extra", "said"),
     [
         (["--to", "rlds"], "unknown format 'rlds'; choose one of"),
-        (["--to", "csv", "--where", "sed = 1"], "expected an SQL condition over file, kind"),
+        (["--to", "csv", "--where", "sed = 1"], "expected an SQL condition over path, size"),
         (["--to", "csv", "--where", "seed = 1"], "no episode of 3 satisfies"),
         (["--to", "lerobot", "--camera", "x", "--size", "3"], "two even numbers of pixels"),
         (["--to", "csv", "--camera", "front"], "holds no images"),

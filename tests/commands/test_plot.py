@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from coordlog.api import curves
 from coordlog.cli import app
-from coordlog.commands import curves
 from coordlog.errors import CoordlogError
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"

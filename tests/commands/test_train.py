@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
+from coordlog.api.judging import Judge, evaluation_envs
+from coordlog.api.train_plan import TrainPlan, preset_of
 from coordlog.cli import app
-from coordlog.commands.train import _preset
-from coordlog.commands.training import Judge, evaluation_envs
-from coordlog.errors import CoordlogError
+from coordlog.errors import ConfigError, CoordlogError
 from coordlog.policies.learned import Policy
 from coordlog.record.dataset import open as open_logs
 from coordlog.tasks.config import TRAINING_ONLY
@@ -22,6 +20,7 @@ from coordlog.train.config import NetworkConfig
 from coordlog.train.metrics import TIMING
 from coordlog.train.networks import Actor
 from coordlog.train.run import require_same
+from tests.spoken import Said, sound
 
 FIXTURES = Path(__file__).parents[1] / "data" / "v1"
 SMALL = [
@@ -41,15 +40,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=240, check=False, env=environment
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def coordlog(cache: Path, *args: str | Path, wanted: int = 0) -> Said:
+    return sound(*args, code=wanted, cache=cache)
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +156,31 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(
     coordlog(cache, "check", tmp_path / "parts" / "episodes", "--jobs", "1", wanted=0)
 
 
+def test_logs_stream_beside_the_steps_of_two_collectors(
+    cache: Path, logs: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    given = ["--live", "--collectors", "2", *SMALL, "--set", "replay.warmup=64", "--steps", "416"]
+    given += ["--eval-every", "0", "--where", "length > 1"]
+    coordlog(cache, "train", "--from", logs, "--memory", "2MB", *given, "--out", run)
+    said = json.loads((run / "run.json").read_text())
+    assert said["collectors"] == 2
+    lengths = [len(episode) for episode in open_logs(logs)]
+    assert said["window"]["of"] == sum(lengths)
+    assert said["window"]["episodes"] == said["log_episodes"] == len(lengths)
+    assert said["window"]["memory"] == 2_000_000
+    digests = [line.split()[0] for line in (run / "data.lock").read_text().splitlines()]
+    assert digests == sorted(
+        hashlib.sha256(p.read_bytes()).hexdigest() for p in logs.glob("*.mcap")
+    )
+    indices = [episode.header.episode["index"] for episode in open_logs(run / "episodes" / "train")]
+    assert len(indices) == len(set(indices)) >= 4
+    before = json.loads((run / "run.json").read_text())
+    for key, other in (("window", None), ("collectors", 1)):
+        with pytest.raises(ConfigError, match=f"its {key}"):
+            require_same(before, before | {key: other}, folder=run)
+
+
 def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     actor = Actor(
         35, 8, config=NetworkConfig(hidden=(4,)), generator=torch.Generator().manual_seed(0)
@@ -172,7 +189,7 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
     envs = evaluation_envs("planar", {"env": {"max_steps": 3}}, None, start="stand", envs=2)
     found = []
     for name, chosen in (("one", policy), ("one", policy), ("other", policy)):
-        judge = Judge(envs, tmp_path, run=name, episodes=2)
+        judge = Judge(envs, tmp_path, run=name, episodes=2, elsewhere=2)
         found.append(judge(chosen, 40))
     assert found[0] == found[1] == found[2]
     episodes = open_logs(tmp_path / "episodes" / "eval-0000040")
@@ -207,6 +224,12 @@ def test_an_evaluation_taken_again_is_recorded_once(tmp_path: Path) -> None:
         ),
         (("--scene", "planar", "--steps", "64", "--preset", "papr"), "unknown preset 'papr'"),
         (("--scene", "planar", "--steps", "64", "--resume"), "holds no run"),
+        (("--scene", "planar", "--steps", "64", "--memory", "5MB"), "--memory: expected logs"),
+        (("--from", FIXTURES / "table", "--memory", "plenty"), "expected a size such as 500MB"),
+        (
+            ("--scene", "planar", "--steps", "64", "--envs", "1", "--collectors", "2"),
+            "--collectors: expected at most one for each live simulation, got 2 for 1",
+        ),
     ],
 )
 def test_bad_input_is_refused_with_a_sentence(
@@ -345,7 +368,7 @@ def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path:
     ],
 )
 def test_the_preset_follows_what_stands_in_the_way(scene: str, live: bool, preset: str) -> None:
-    assert _preset(None, scene, live=live) == preset
+    assert preset_of(TrainPlan(source=None if live else ["logs"], scene=scene)) == preset
 
 
 def test_logs_of_another_period_are_named(cache: Path, logs: Path, tmp_path: Path) -> None:

@@ -6,24 +6,18 @@ Pictures need software Vulkan, recordings do not.
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.spoken import Said, sound
 
 DATA = Path(__file__).parents[1] / "data" / "v1"
 TABLE = sorted((DATA / "table").glob("*.mcap"))
 
 
-def view(*args: str | Path, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "coordlog.cli", "view", *map(str, args)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False, env=None
-    )
-    assert done.returncode == wanted, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+def view(*args: str | Path, wanted: int = 0) -> Said:
+    return sound("view", *args, code=wanted)
 
 
 def test_an_episode_two_episodes_and_a_folder_become_recordings(tmp_path: Path) -> None:
@@ -55,9 +49,9 @@ def test_what_is_no_episode_is_refused(tmp_path: Path) -> None:
 def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from coordlog.commands.siblings import sibling
-    from coordlog.record.cache import file_digest
+    from coordlog.record.addresses import sha256
     from coordlog.record.reader import read_attachments, read_episode
+    from coordlog.record.siblings import sibling
     from coordlog.record.writer import write_episode
 
     raw, smoothed = tmp_path / "logs" / "a.mcap", tmp_path / "smoothed" / "a.mcap"
@@ -65,7 +59,7 @@ def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
         folder.mkdir()
     shutil.copy(TABLE[0], raw)
     episode = read_episode(raw)
-    lineage = {"parents": [file_digest(raw)], "transform": "smooth", "parameters": {}}
+    lineage = {"parents": [sha256(raw)], "transform": "smooth", "parameters": {}}
     made = replace(episode, header=replace(episode.header, lineage=lineage))
     write_episode(smoothed, made, attachments=read_attachments(raw), display=False)
     assert sibling(raw) == (raw, smoothed)

@@ -1,7 +1,5 @@
 """Images come of proven states alone, and become what LeRobot shows."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ from coordlog.exchange import cameras
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
 from coordlog.mjcf import load_attached
+from tests.spoken import sound
 
 PLANAR = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
 CAMERA = "pos=0.3,-0.2,2 lookat=0.3,0,0"
@@ -77,11 +76,8 @@ def test_a_set_with_a_camera_has_a_video_of_every_step(tmp_path):
     from robovet.checks import run_doctor
     from robovet.dataset import LeRobotDataset
 
-    command = [sys.executable, "-m", "coordlog.cli", "export", str(PLANAR), "--to", "lerobot"]
-    command += ["--out", str(tmp_path / "set"), "--camera", CAMERA, "--size", "64x64"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    command = ("export", PLANAR, "--to", "lerobot", "--out", tmp_path / "set")
+    assert sound(*command, "--camera", CAMERA, "--size", "64x64").stderr == ""
     (video,) = (tmp_path / "set").rglob("*.mp4")
     with av.open(str(video)) as file:
         stamps = [float(frame.time) for frame in file.decode(video=0)]

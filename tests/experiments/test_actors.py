@@ -12,8 +12,10 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GymEnv
 from coordlog.sim.scoring import evaluate, figures
 from coordlog.tasks.scene import find
+from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import load_settings
-from experiments.actors import PEERS, actor
+from experiments.actors import actor
+from experiments.scalar_peer import learn
 
 
 def test_a_foreign_model_is_loaded_without_its_environment_and_acts_alike(tmp_path: Path) -> None:
@@ -40,12 +42,9 @@ def test_a_foreign_model_is_loaded_without_its_environment_and_acts_alike(tmp_pa
 
 
 def test_the_last_evaluation_of_a_peers_run_is_that_of_the_model_it_saves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     """Not of the model before the last updates, which may do something else altogether."""
-    monkeypatch.syspath_prepend(PEERS)
-    from scalar_peer import curve, learn
-
     small = ["network.hidden=[8]", "replay.batch=16", "replay.warmup=16", "loop.updates_per_step=1"]
     learn(
         "planar",
@@ -56,7 +55,7 @@ def test_the_last_evaluation_of_a_peers_run_is_that_of_the_model_it_saves(
         every=168,
         episodes=2,
     )
-    rows = curve(tmp_path / "run")
+    rows = [row for row in read_metrics(tmp_path / "run" / "metrics.jsonl") if "clean" in row]
     env = BatchEnv(find("planar"), n=2, threads=1)
     policy, _ = actor(str(tmp_path / "run" / "model.zip"), env)
     again = figures(evaluate(env, policy, episodes=2, k=env.layout.k, seed=0))

@@ -43,24 +43,24 @@ def assert_foreseen(found: Count) -> None:
 
 @pytest.mark.parametrize("how", [flipped, cut, smeared])
 def test_no_changed_value_passes_check(how, file: Path, tmp_path: Path) -> None:
-    found = harm_bytes(file, tmp_path, how, count=40, seed=11, check=True)
+    found = harm_bytes(file, tmp_path, how, count=20, seed=11, check=True)
     assert_foreseen(found)
     assert found.silent == 0
 
 
 @pytest.mark.parametrize("how", [flipped, cut, smeared])
 def test_harmed_bytes_are_read_or_refused(how, file: Path, tmp_path: Path) -> None:
-    assert_foreseen(harm_bytes(file, tmp_path, how, count=60, seed=12, check=False))
+    assert_foreseen(harm_bytes(file, tmp_path, how, count=30, seed=12, check=False))
 
 
 def test_odd_metadata_ends_no_command_in_a_traceback(file: Path, tmp_path: Path) -> None:
-    found = harm_metadata(file, tmp_path, count=16, seed=13, commands=EVERY[:5])
+    found = harm_metadata(file, tmp_path, count=10, seed=13, commands=EVERY[:5])
     assert found.unforeseen == []
 
 
 def test_odd_policies_configurations_and_runs_end_in_a_sentence(tmp_path: Path) -> None:
     policy = ROOT / "coordlog" / "policies" / "free.safetensors"
-    assert_foreseen(harm_policies(policy, tmp_path, count=10, seed=14))
+    assert_foreseen(harm_policies(policy, tmp_path, count=8, seed=14))
     assert_foreseen(harm_configurations(tmp_path))
     assert_foreseen(harm_runs(tmp_path, count=3, seed=15))
 

@@ -75,14 +75,14 @@ def test_check_says_free_exactly_where_no_slack_is_negative(walk):
 
 
 def test_distances_are_those_of_plain_numpy(walk):
-    time, q, row = walk.draw(60)
+    time, q, row = walk.draw(24)
     qpos = walk.qpos[row].copy()
     qpos[:, walk.task.qpos_index] = q
     got = walk.checker.slack(time, q, 0.0)
     wanted = walk.plain.distances(qpos, walk.checker.pairs, cap=NEAR)
     got = got[:, : len(walk.checker.pairs)]
     near = (wanted > 1e-4) & (wanted < 0.9 * NEAR)
-    assert near.sum() > 1000
+    assert near.sum() > 300
     assert np.abs(got - wanted)[near].max() < 1e-4
     assert (got[wanted < -1e-4] < 0).all()
     assert (wanted[got < -1e-4] < 1e-4).all()
@@ -90,7 +90,7 @@ def test_distances_are_those_of_plain_numpy(walk):
 
 def test_no_slack_exceeds_the_true_distance(walk):
     """Lower bounds are allowed for pairs that are far apart, never upper ones."""
-    time, q, row = walk.draw(40)
+    time, q, row = walk.draw(10)
     qpos = walk.qpos[row].copy()
     qpos[:, walk.task.qpos_index] = q
     exact = walk.plain.distances(qpos, walk.checker.pairs, cap=np.inf)
@@ -99,7 +99,7 @@ def test_no_slack_exceeds_the_true_distance(walk):
 
 
 def test_slack_changes_no_faster_than_reach_allows(walk):
-    time, q, row = walk.draw(300)
+    time, q, row = walk.draw(150)
     for size in (0.01, 0.3):
         other = np.clip(
             q + size * walk.rng.normal(size=q.shape) * (walk.rng.random(q.shape) < 0.3),

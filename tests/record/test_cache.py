@@ -14,8 +14,9 @@ import pytest
 
 from coordlog.errors import SpecError
 from coordlog.record import cache
-from coordlog.record.cache import DIGESTS, EPISODES, STEPS, SUMS, Built, Logs, load
+from coordlog.record.cache import EPISODES, STEPS, SUMS, Built, Logs, load
 from coordlog.record.dataset import open as open_logs
+from coordlog.record.digests import DIGESTS
 
 FILES = sorted((Path(__file__).parents[1] / "data" / "v1" / "table").glob("*.mcap"))
 
@@ -125,7 +126,6 @@ def test_a_warm_cache_reads_no_byte_of_a_log(
     for path in logs:
         path.chmod(0)  # root may read them all the same, so nothing may even try
     monkeypatch.setattr(cache, "decoded", None)
-    monkeypatch.setattr(cache, "file_digest", None)
     again, decoded = loaded(logs, tmp_path / "cache")
     assert decoded == []
     assert again.steps.combine_chunks().equals(first.steps.combine_chunks())

@@ -222,7 +222,7 @@ def test_a_message_index_that_points_elsewhere_is_never_believed(tmp_path, rng):
         at
         for span in walk(data)
         if span.opcode == Opcode.MESSAGE_INDEX
-        for at in range(span.start, span.end)
+        for at in range(span.start, span.end, 5)
     ]
     with open(path, "r+b", buffering=0) as stream:
         for at in places:
@@ -231,4 +231,4 @@ def test_a_message_index_that_points_elsewhere_is_never_believed(tmp_path, rng):
             refused += isinstance(table, FormatError)
             assert isinstance(table, FormatError) or table.equals(wanted)
             os.pwrite(stream.fileno(), data[at : at + 1], at)
-    assert refused > 40 * 8
+    assert refused > 8 * 8

@@ -25,13 +25,13 @@ from coordlog.record.schema import SCHEMAS
 from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, INPUTS, REACH, STEP, TASK_TOPIC
 from coordlog.verify.file import check, rewritten
-from tests.synthetic import ATTACHMENTS, TINY, assert_same, make_episode, make_header, rewards
+from tests.synthetic import ATTACHMENTS, TINY, assert_same, make_episode, make_header
 
 V1 = Path(__file__).parents[1] / "data" / "v1"
 
 
 def findings(path):
-    return check(path, level="content", rewards=rewards)
+    return check(path, level="content")
 
 
 def rewrite(source, target, *, library="other 1.0", skip=(), extra=False, late=False, **options):

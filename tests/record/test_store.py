@@ -13,11 +13,11 @@ from coordlog.catalog.gather import gather
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.query import ask
 from coordlog.catalog.selection import select
+from coordlog.catalog.summary import summarise
 from coordlog.errors import StorageError
 from coordlog.record import manifest
 from coordlog.record.dataset import find_files
 from coordlog.record.dataset import open as open_logs
-from coordlog.record.info import summarise
 from coordlog.record.reader import read_header
 from coordlog.record.spool import Spool
 from coordlog.record.store import LocalStore, ObjectStore, PackStore, Store, store_of
@@ -70,7 +70,7 @@ def test_an_address_goes_wherever_a_folder_goes(store: Store) -> None:
         assert len(find_files(address).paths) == len(FILES)
         for got, episode in zip(open_logs(address), wanted, strict=True):
             assert got.result == episode.result
-        rows, expected = summarise(address).rows, summarise(FILES).rows
+        rows, expected = summarise([address]).rows, summarise(FILES).rows
         assert [row.size for row in rows] == [row.size for row in expected]
     path = store.path(store.list()[0].name)
     assert read_header(path) == wanted[0].header

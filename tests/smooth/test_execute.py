@@ -12,7 +12,7 @@ from coordlog.episode import INITIAL_STATE, Episode, Header, Result
 from coordlog.kinematics.clearance import SceneChecker
 from coordlog.policies.scripted import scripted, with_noise
 from coordlog.sim.env import BatchEnv
-from coordlog.sim.replay import Log, LogEnv, replay, task_of
+from coordlog.sim.replay import Log, LogEnv, bound_task, replay
 from coordlog.sim.rollout import rollout
 from coordlog.sim.tracking import Drive, run, targets
 from coordlog.smooth.execute import execute, logged_torques, worse
@@ -69,7 +69,7 @@ def recorded(scene, *, index=0, noise=0.15):
 @pytest.fixture(scope="module")
 def table():
     log, episode = recorded("table")
-    task = task_of(log)
+    task = bound_task(log)
     checker = SceneChecker(
         log.model, task.robot, task.config, time=episode.time, qpos=episode.qpos, initial=log.start
     )
@@ -93,11 +93,11 @@ def test_logged_actions_run_again_to_the_same_bits(table):
 
 def test_servo_targets_are_those_the_simulation_used(table):
     log, episode, _ = table
-    found, angles = targets(log), episode.qpos[:, task_of(log).qpos_index]
+    found, angles = targets(log), episode.qpos[:, bound_task(log).qpos_index]
     assert found.shape == angles.shape
     assert np.abs(found - angles).max() < 0.2
     moved = np.abs(np.diff(found, axis=0))
-    assert (moved <= task_of(log).speeds * task_of(log).config.control_period + 1e-12).all()
+    assert (moved <= bound_task(log).speeds * bound_task(log).config.control_period + 1e-12).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -136,7 +136,7 @@ def test_a_smoothed_path_is_followed_and_works_the_servos_less(table):
     assert done.smoothed.rate < 0.6 * done.raw.rate
     assert done.run.columns["goal"][-1].all()
     assert not done.run.columns["collision"].any()
-    assert len(done.run.columns["action"]) <= task_of(log).config.max_steps
+    assert len(done.run.columns["action"]) <= bound_task(log).config.max_steps
 
 
 def test_what_was_executed_replays_to_the_same_bits(table):

@@ -11,7 +11,7 @@ from coordlog.tasks import registry
 from coordlog.tasks.config import RewardConfig
 from coordlog.tasks.reach.task import ReachTask
 from coordlog.tasks.scene import SCENES
-from coordlog.train.bind import require_alike, task_of
+from coordlog.train.bind import learning_task, require_alike
 from coordlog.train.relabel import outcome
 
 
@@ -23,18 +23,18 @@ def records() -> dict[str, dict[str, object]]:
 def test_rewards_and_endings_are_those_of_the_records_task(records) -> None:  # type: ignore[no-untyped-def]
     flags = np.array([[True, True]]), np.array([[True, True]])
     still = np.zeros(1, bool)
-    hold = task_of(records["hold"])
+    hold = learning_task(records["hold"])
     assert hold.reward(np.zeros((1, 2)), *flags, still, still) == pytest.approx(0.4)
     assert not hold.ended(flags[1], still).any(), "being there does not end it"
     assert hold.ended(flags[1], ~still).all()
     there = np.ones((1, 3), bool)
-    reach = task_of(records["planar"], reward=RewardConfig(kappa=77.0))
+    reach = learning_task(records["planar"], reward=RewardConfig(kappa=77.0))
     assert (reach.reward(np.zeros((1, 3)), there, there, still, still) == 77.0).all()
     assert reach.ended(there, still).all()
 
 
 def test_goals_in_hindsight_are_judged_by_the_same_task(records) -> None:  # type: ignore[no-untyped-def]
-    task, still = task_of(records["hold"]), np.zeros(1, bool)
+    task, still = learning_task(records["hold"]), np.zeros(1, bool)
     assert task.view is not None
     points = np.full((1, 2, 3), 0.3)
     found = outcome(
@@ -57,7 +57,7 @@ def test_a_task_whose_reward_needs_more_than_training_keeps_is_refused(
 
     monkeypatch.setattr(registry, "TASKS", registry.TASKS | {"hurried": (Hurried, None)})
     with pytest.raises(SpecError, match=r"task 'hurried': .* got some that depend on 'hurry'"):
-        task_of(records["planar"] | {"task": {"name": "hurried"}})
+        learning_task(records["planar"] | {"task": {"name": "hurried"}})
 
 
 def test_logs_of_two_tasks_are_not_learnt_from_together(records) -> None:  # type: ignore[no-untyped-def]

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from coordlog.errors import SpecError
 from coordlog.train.config import LearnerConfig, NetworkConfig
-from coordlog.train.digrad import Batch, Learner
+from coordlog.train.digrad import Batch, Examples, Learner
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.settings import PRESETS
 
@@ -557,3 +557,43 @@ def test_a_state_of_another_layout_is_refused_by_name() -> None:
         other.load_state(saved)
     with pytest.raises(SpecError, match=r"actor\.mlp.* got None"):
         other.load_state({})
+
+
+def test_the_average_is_of_the_last_share_of_the_actors() -> None:
+    config = replace(DDPG, tau=1.0, actor_rate=0.01)
+    made = Learner(
+        N_X,
+        gradient_mask(TWO_ARMS, N_U),
+        network=PLAIN,
+        config=config,
+        bounds=BOUNDS,
+        seed=0,
+        average=0.5,
+    )
+    first = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
+    wanted = first.clone()
+    generator = np.random.default_rng(0)
+    for update in range(1, 30):
+        made.update(batch(generator, 2))
+        now = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
+        wanted += (now - wanted) * min(1.0, 1 / (0.5 * update))
+    found = torch.cat([each.reshape(-1) for each in made.average_actor.parameters()])
+    torch.testing.assert_close(found, wanted, rtol=1e-5, atol=1e-6)
+    assert not torch.allclose(found, now, atol=1e-4)
+
+
+def test_imitating_pulls_towards_what_was_done_and_leaves_critics_alone(
+    rng: np.random.Generator,
+) -> None:
+    made = learner(TWO_ARMS, config=replace(DDPG, actor_rate=0.01))
+    data = batch(rng, 2)
+    done = torch.tanh(torch.linspace(-1, 1, N_U)).expand(B, N_U)
+    weight = torch.ones(B, 1)
+    weight[0] = 0.0
+    before = [each.clone() for each in made.critic.parameters()]
+    for _ in range(300):
+        made.imitate(Examples(data.state, done, weight), behaviour_weight=1.0, effort=0.0)
+    torch.testing.assert_close(made.actor(data.state)[1:], done[1:], atol=0.05, rtol=0.0)
+    now = tuple(made.critic.parameters())
+    assert all(torch.equal(*pair) for pair in zip(before, now, strict=True))
+    assert made.updates == 0

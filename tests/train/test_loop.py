@@ -12,9 +12,8 @@ import pytest
 from coordlog.errors import ConfigError, SpecError, StorageError
 from coordlog.policies.checkpoint import load_arrays
 from coordlog.policies.learned import Policy
-from coordlog.train.buffer import Block
+from coordlog.train.columns import Block, Columns
 from coordlog.train.exploration import Exploring
-from coordlog.train.logs import Columns
 from coordlog.train.loop import KIND, Trainer
 from coordlog.train.metrics import TIMING, read_metrics
 from coordlog.train.settings import Settings, load_settings
@@ -86,7 +85,11 @@ def stop_after(rows: int) -> Callable[[], bool]:
     return lambda: next(asked) >= rows
 
 
-KINDS = {"logs": (LOGS, True, False), "live": (LIVE, False, True), "both": (BOTH, True, True)}
+KINDS = {
+    "logs": ((*LOGS, "behaviour.extra=2"), True, False),
+    "live": (LIVE, False, True),
+    "both": (BOTH, True, True),
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -252,23 +255,22 @@ def test_the_first_of_the_best_policies_is_kept_not_the_last(tmp_path: Path) -> 
     )
 
 
-@pytest.mark.parametrize(("averaged", "network"), [("true", "target_actor"), ("false", "actor")])
-def test_the_actor_or_its_average_is_kept(averaged: str, network: str, tmp_path: Path) -> None:
-    made = trainer(tmp_path, settings(*LOGS, f"loop.averaged={averaged}"), logs=True)
+@pytest.mark.parametrize(("average", "network"), [(0.2, "average_actor"), (0, "actor")])
+def test_the_actor_or_its_average_is_kept(average: float, network: str, tmp_path: Path) -> None:
+    made = trainer(tmp_path, settings(*LOGS, f"loop.average={average}"), logs=True)
     made.run()
     wanted = getattr(made.learner, network).arrays()
     found = Policy.load(tmp_path / "policy.safetensors").arrays
     assert all(np.array_equal(found[name], array) for name, array in wanted.items())
-    assert not np.array_equal(
-        made.learner.actor.arrays()["weight.0"], made.learner.target_actor.arrays()["weight.0"]
-    )
+    alike = np.array_equal(found["weight.0"], made.learner.actor.arrays()["weight.0"])
+    assert alike == (average == 0)
 
 
 def poisoned() -> Columns:
     columns = toy.logs(6)
-    distance = columns.distance.copy()
+    distance = columns.steps["distance"].copy()
     distance[5] = np.nan
-    return replace(columns, distance=distance)
+    return replace(columns, steps={**columns.steps, "distance": distance})
 
 
 def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:

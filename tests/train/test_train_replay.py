@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,28 +11,28 @@ import pyarrow as pa
 import pytest
 
 from coordlog.errors import ConfigError, SpecError, StorageError
-from coordlog.train.buffer import Block, ReplayBuffer
+from coordlog.spec import LEARNT, names
+from coordlog.train.columns import Block, Columns
 from coordlog.train.config import ReplayConfig
-from coordlog.train.logs import Columns, LogReplay
 from coordlog.train.relabel import outcome
 from coordlog.train.replay import (
     Arrays,
     Asked,
     Horizon,
     MixedReplay,
-    Store,
     in_hindsight,
     moved,
     transitions,
 )
 from coordlog.train.task import Motion
+from coordlog.train.transitions import Transitions
 from tests.train import toy_arms as toy
 
 WIDTHS = (toy.N_X, toy.N_U, 2)
 GAMMA = 0.9
 
 
-def read(store: Store, rows: np.ndarray, *, n: int = 1, cut: bool = False) -> Arrays:
+def read(store: Transitions, rows: np.ndarray, *, n: int = 1, cut: bool = False) -> Arrays:
     out = Arrays.empty(len(rows), WIDTHS)
     for array in out:
         array[:] = np.nan
@@ -64,32 +64,38 @@ def numbered(steps: int, *, first: int = 0, lanes: int = 1) -> Block:
 
 def test_every_logged_transition_leads_to_the_next_state_of_its_own_episode() -> None:
     columns = toy.logs(12)
-    store = LogReplay(columns, toy.reward)
+    store = Transitions.of_logs(columns, toy.reward)
     out = read(store, np.arange(len(store)))
     row = 0
     for episode, length in enumerate(columns.length):
-        states = np.concatenate((columns.state[row : row + length], columns.final[episode][None]))
+        states = np.concatenate(
+            (columns.steps["state"][row : row + length], columns.final[episode][None])
+        )
         np.testing.assert_array_equal(out.state[row : row + length], states[:-1])
         np.testing.assert_array_equal(out.next_state[row : row + length], states[1:])
         row += length
-    np.testing.assert_array_equal(out.action, columns.action)
-    np.testing.assert_array_equal(out.discount[:, 0] == 0, columns.terminated)
+    np.testing.assert_array_equal(out.action, columns.steps["action"])
+    np.testing.assert_array_equal(out.discount[:, 0] == 0, columns.steps["terminated"])
     assert not np.isnan(out.reward).any()
 
 
 def test_rewards_are_recomputed_from_distances_and_flags() -> None:
     columns = toy.logs(12)
-    doubled = LogReplay(columns, lambda *inputs: 2 * toy.reward(*inputs))
+    doubled = Transitions.of_logs(columns, lambda *inputs: 2 * toy.reward(*inputs))
     rows = np.arange(len(doubled))
     wanted = toy.reward(
-        columns.distance, columns.boundary, columns.goal, columns.collision, columns.instability
+        columns.steps["distance"],
+        columns.steps["boundary"],
+        columns.steps["goal"],
+        columns.steps["collision"],
+        columns.steps["instability"],
     )
     np.testing.assert_allclose(read(doubled, rows).reward, 2 * wanted, rtol=1e-6)
 
 
 def test_later_states_of_logs_stay_in_their_episode(rng: np.random.Generator) -> None:
     columns = toy.logs(12)
-    store = LogReplay(columns, toy.reward)
+    store = Transitions.of_logs(columns, toy.reward)
     rows = store.draw(rng, 500)
     episode = np.repeat(np.arange(12), columns.length)
     later = store.next_state(store.later(rng, rows, 0)[0])
@@ -108,8 +114,7 @@ def test_arrow_tables_become_columns_over_the_same_memory() -> None:
     def lists(values: np.ndarray) -> pa.Array:
         return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
 
-    names = [item.name for item in fields(Columns) if item.name not in ("final", "length")]
-    arrays = {name: getattr(columns, name) for name in names}
+    arrays = columns.steps
     steps = pa.table(
         {
             name: lists(array) if array.ndim == 2 else pa.array(array)
@@ -118,11 +123,15 @@ def test_arrow_tables_become_columns_over_the_same_memory() -> None:
     )
     finals = pa.table({"state": lists(columns.final), "length": pa.array(columns.length)})
     found = Columns.from_tables(steps, finals)
-    for item in fields(Columns):
-        np.testing.assert_array_equal(getattr(found, item.name), getattr(columns, item.name))
-    assert np.shares_memory(found.state, columns.state)
+    for name in names(LEARNT):
+        np.testing.assert_array_equal(found.steps[name], columns.steps[name])
+    np.testing.assert_array_equal(found.final, columns.final)
+    np.testing.assert_array_equal(found.length, columns.length)
+    assert np.shares_memory(found.steps["state"], columns.steps["state"])
     parts = pa.concat_tables([steps.slice(0, 7), steps.slice(7)])
-    np.testing.assert_array_equal(Columns.from_tables(parts, finals).action, columns.action)
+    np.testing.assert_array_equal(
+        Columns.from_tables(parts, finals).steps["action"], columns.steps["action"]
+    )
     with pytest.raises(SpecError, match="expected columns state, length, length missing"):
         Columns.from_tables(steps, finals.drop_columns("length"))
 
@@ -141,30 +150,34 @@ def test_columns_that_do_not_fit_together_are_refused(
 ) -> None:
     columns = toy.logs(5)
     given = {
-        name: columns.state.astype(float) if array is None else array
+        name: columns.steps["state"].astype(float) if array is None else array
         for name, array in changes.items()
     }
+    steps = {name: given.pop(name) for name in (*given,) if name != "length"}
     with pytest.raises(SpecError, match=message):
-        replace(columns, **given)
+        replace(columns, steps={**columns.steps, **steps}, **given)
 
 
 def test_logs_cost_little_memory_of_their_own(tmp_path: Path) -> None:
     n, episodes = 150_000, 1000
-    columns = Columns(
-        state=np.memmap(tmp_path / "state", np.float32, "w+", shape=(n, 37)),
-        action=np.memmap(tmp_path / "action", np.float32, "w+", shape=(n, 13)),
-        distance=np.memmap(tmp_path / "distance", np.float64, "w+", shape=(n, 2)),
+    steps: dict[str, np.ndarray] = {
+        "state": np.memmap(tmp_path / "state", np.float32, "w+", shape=(n, 37)),
+        "action": np.memmap(tmp_path / "action", np.float32, "w+", shape=(n, 13)),
+        "distance": np.memmap(tmp_path / "distance", np.float64, "w+", shape=(n, 2)),
         **{name: np.zeros((n, 2), bool) for name in ("boundary", "goal")},
         **{name: np.zeros(n, bool) for name in ("collision", "instability", "terminated")},
+    }
+    columns = Columns(
+        steps,
         final=np.zeros((episodes, 37), np.float32),
         length=np.full(episodes, n // episodes),
     )
     tracemalloc.start()
-    store = LogReplay(columns, toy.reward)
+    store = Transitions.of_logs(columns, toy.reward)
     own, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(store) == n
-    assert own < 20 * n, "1.5 million transitions cost 30 MB beside the files"
+    assert own < 22 * n, "1.5 million transitions cost 33 MB beside the files"
     assert peak < 150 * n
 
 
@@ -173,7 +186,7 @@ def test_logs_cost_little_memory_of_their_own(tmp_path: Path) -> None:
 
 def test_the_buffer_gives_back_what_was_added() -> None:
     block = wandering(4, 30)
-    buffer = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(1000, 4, widths=WIDTHS, reward=toy.reward)
     buffer.add(Block(*(column[:10] for column in block)))
     buffer.add(Block(*(column[10:] for column in block)))
     out = read(buffer, np.arange(len(buffer)))
@@ -191,7 +204,7 @@ def test_truncated_steps_are_not_ends() -> None:
     block = toy.ToySource(4, limit=5).collect(10, lambda state: np.zeros((4, toy.N_U), np.float32))
     assert (block.step[4] == 4).all()
     assert (block.step[5] == 0).all()
-    buffer = ReplayBuffer(100, 4, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(100, 4, widths=WIDTHS, reward=toy.reward)
     buffer.add(block)
     out = read(buffer, np.arange(len(buffer)))
     assert (out.discount == np.float32(GAMMA)).all()
@@ -201,16 +214,16 @@ def test_truncated_steps_are_not_ends() -> None:
 
 
 def test_the_oldest_transitions_leave_first() -> None:
-    buffer = ReplayBuffer(10, 1, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(10, 1, widths=WIDTHS, reward=toy.reward)
     for first, steps in ((0, 4), (4, 4), (8, 4), (12, 1)):
         buffer.add(numbered(steps, first=first))
     assert len(buffer) == 10
     assert sorted(read(buffer, np.arange(10)).state[:, 0]) == list(range(3, 13))
-    assert len(ReplayBuffer(10, 4, widths=WIDTHS, reward=toy.reward)) == 0
+    assert len(Transitions.ring(10, 4, widths=WIDTHS, reward=toy.reward)) == 0
 
 
 def test_rows_are_drawn_evenly_from_what_is_stored(rng: np.random.Generator) -> None:
-    buffer = ReplayBuffer(40, 2, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(40, 2, widths=WIDTHS, reward=toy.reward)
     buffer.add(numbered(10, lanes=2))
     assert np.bincount(buffer.draw(rng, 40_000), minlength=20) / 40_000 == pytest.approx(
         0.05, abs=0.01
@@ -221,7 +234,7 @@ def test_rows_are_drawn_evenly_from_what_is_stored(rng: np.random.Generator) -> 
 def test_later_states_follow_the_lane_around_the_end_of_the_buffer(
     rng: np.random.Generator,
 ) -> None:
-    buffer = ReplayBuffer(3 * 11, 3, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(3 * 11, 3, widths=WIDTHS, reward=toy.reward)
     for first in range(0, 30, 5):
         buffer.add(
             numbered(5, first=first, lanes=3)
@@ -240,7 +253,7 @@ def test_later_states_follow_the_lane_around_the_end_of_the_buffer(
 def test_later_states_are_of_the_same_lane_and_episode(rng: np.random.Generator) -> None:
     source, buffer = (
         toy.ToySource(5, seed=3, limit=7),
-        ReplayBuffer(5 * 23, 5, widths=WIDTHS, reward=toy.reward),
+        Transitions.ring(5 * 23, 5, widths=WIDTHS, reward=toy.reward),
     )
     for _ in range(9):
         buffer.add(
@@ -256,12 +269,12 @@ def test_later_states_are_of_the_same_lane_and_episode(rng: np.random.Generator)
 
 @pytest.mark.parametrize("slots", [7, 1000])
 def test_a_buffer_continues_exactly_from_its_segments(slots: int, tmp_path: Path) -> None:
-    def fill(buffer: ReplayBuffer, first: int, last: int) -> None:
+    def fill(buffer: Transitions, first: int, last: int) -> None:
         for start in range(first, last, 3):
             buffer.add(numbered(3, first=start, lanes=2))
 
-    def made() -> ReplayBuffer:
-        return ReplayBuffer(2 * slots, 2, widths=WIDTHS, reward=toy.reward)
+    def made() -> Transitions:
+        return Transitions.ring(2 * slots, 2, widths=WIDTHS, reward=toy.reward)
 
     through, first = made(), made()
     fill(through, 0, 30)
@@ -292,36 +305,36 @@ def test_a_buffer_continues_exactly_from_its_segments(slots: int, tmp_path: Path
 
 
 def test_a_missing_segment_is_an_error(tmp_path: Path) -> None:
-    buffer = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(100, 1, widths=WIDTHS, reward=toy.reward)
     for first in (0, 5):
         buffer.add(numbered(5, first=first))
         buffer.save(tmp_path)
     min(tmp_path.iterdir()).unlink()
     with pytest.raises(StorageError, match="expected saved steps up to 10, found them up to 0"):
-        ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward).load(tmp_path, total=10)
+        Transitions.ring(100, 1, widths=WIDTHS, reward=toy.reward).load(tmp_path, total=10)
 
 
 def test_live_transitions_cost_little_more_than_their_numbers() -> None:
-    buffer = ReplayBuffer(1000, 10, widths=(37, 13, 2), reward=toy.reward)
-    each = sum(column.nbytes for column in buffer._columns.values()) / 1000
+    buffer = Transitions.ring(1000, 10, widths=(37, 13, 2), reward=toy.reward)
+    each = sum(column.nbytes for column in buffer._rows.values()) / 1000
     assert each < 1.1 * 4 * (37 + 13 + 2 + 37)
     assert 1_500_000 * each < 4e9
 
 
 def test_a_buffer_too_small_for_its_simulations_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"at least one transition per simulation, 8, got 5"):
-        ReplayBuffer(5, 8, widths=WIDTHS, reward=toy.reward)
+        Transitions.ring(5, 8, widths=WIDTHS, reward=toy.reward)
     with pytest.raises(ConfigError, match=r"loop\.block: expected at most the buffer's 5 steps"):
-        ReplayBuffer(5, 1, widths=WIDTHS, reward=toy.reward).add(numbered(6))
+        Transitions.ring(5, 1, widths=WIDTHS, reward=toy.reward).add(numbered(6))
 
 
 # batches
 
 
-def stores() -> tuple[LogReplay, ReplayBuffer]:
-    buffer = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+def stores() -> tuple[Transitions, Transitions]:
+    buffer = Transitions.ring(1000, 4, widths=WIDTHS, reward=toy.reward)
     buffer.add(wandering(4, 50))
-    return LogReplay(toy.logs(12), toy.reward), buffer
+    return Transitions.of_logs(toy.logs(12), toy.reward), buffer
 
 
 def config(**values: float) -> ReplayConfig:
@@ -342,7 +355,7 @@ def test_batches_mix_logs_and_live_steps_by_share(rng: np.random.Generator) -> N
 def test_all_of_a_batch_comes_from_whichever_there_is(rng: np.random.Generator) -> None:
     logs, live = stores()
     known = {row.tobytes() for row in read(logs, np.arange(len(logs))).state}
-    nothing = ReplayBuffer(1000, 4, widths=WIDTHS, reward=toy.reward)
+    nothing = Transitions.ring(1000, 4, widths=WIDTHS, reward=toy.reward)
     for given, share in (
         ({"logs": logs}, 1),
         ({"logs": logs, "live": nothing}, 1),
@@ -401,10 +414,10 @@ def test_hindsight_asks_a_share_of_each_part_of_a_batch_for_what_was_reached(
 def test_several_steps_of_an_episode_are_summed_as_one_by_one(
     kind: str, rng: np.random.Generator
 ) -> None:
-    store: Store = LogReplay(toy.logs(12), toy.reward)
+    store: Transitions = Transitions.of_logs(toy.logs(12), toy.reward)
     if kind == "live":
         source = toy.ToySource(5, seed=3, limit=7)
-        store = ReplayBuffer(5 * 23, 5, widths=WIDTHS, reward=toy.reward)
+        store = Transitions.ring(5 * 23, 5, widths=WIDTHS, reward=toy.reward)
         for _ in range(9):  # goes around its end
             store.add(
                 source.collect(6, lambda state: rng.uniform(-1, 1, (5, toy.N_U)).astype(np.float32))
@@ -435,7 +448,7 @@ def test_several_steps_of_an_episode_are_summed_as_one_by_one(
 def test_several_steps_in_hindsight_end_where_the_new_goals_are_reached(
     rng: np.random.Generator,
 ) -> None:
-    store, view = LogReplay(toy.logs(12), toy.reward), toy.view()
+    store, view = Transitions.of_logs(toy.logs(12), toy.reward), toy.view()
     rows = store.draw(rng, 200)
     goals = view.points(store.next_state(store.later(rng, rows, 8)[0]), view.palms)
     out = Arrays.empty(200, WIDTHS)
@@ -487,7 +500,7 @@ def test_a_cut_return_ends_before_the_mishap_of_a_later_step(kind: str) -> None:
 
 
 def test_far_goals_are_from_anywhere_later_and_not_imitated(rng: np.random.Generator) -> None:
-    buffer = ReplayBuffer(400, 1, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(400, 1, widths=WIDTHS, reward=toy.reward)
     block = wandering(1, 400)
     buffer.add(
         block._replace(
@@ -513,7 +526,7 @@ def test_far_goals_are_from_anywhere_later_and_not_imitated(rng: np.random.Gener
 
 
 def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -> None:
-    buffer = ReplayBuffer(40, 1, widths=WIDTHS, reward=toy.reward)
+    buffer = Transitions.ring(40, 1, widths=WIDTHS, reward=toy.reward)
     block = numbered(40)
     buffer.add(block._replace(episode=np.zeros_like(block.episode), step=np.arange(40)[:, None]))
     rows = np.repeat(np.arange(40), 100)
@@ -522,7 +535,7 @@ def test_goals_in_hindsight_lie_within_their_horizon(rng: np.random.Generator) -
     assert (ahead + rows).max() == 39
 
 
-def mishaps(kind: str, steps: int, *, touched: tuple[int, ...]) -> Store:
+def mishaps(kind: str, steps: int, *, touched: tuple[int, ...]) -> Transitions:
     """One episode in which some steps touch something and no goal is reached, from logs or live."""
     block, flag = numbered(steps), np.isin(np.arange(steps), touched)[:, None]
     none = {
@@ -531,22 +544,12 @@ def mishaps(kind: str, steps: int, *, touched: tuple[int, ...]) -> Store:
     }
     block = block._replace(**none, collision=flag, step=np.arange(steps)[:, None])
     if kind == "live":
-        store = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+        store = Transitions.ring(100, 1, widths=WIDTHS, reward=toy.reward)
         store.add(block)
         return store
-    names = (
-        "state",
-        "action",
-        "distance",
-        "boundary",
-        "goal",
-        "collision",
-        "instability",
-        "terminated",
-    )
-    columns = {name: getattr(block, name)[:, 0] for name in names}
-    return LogReplay(
-        Columns(**columns, final=block.next_state[-1], length=np.array([steps])), toy.reward
+    columns = {name: getattr(block, name)[:, 0] for name in names(LEARNT)}
+    return Transitions.of_logs(
+        Columns(columns, final=block.next_state[-1], length=np.array([steps])), toy.reward
     )
 
 
@@ -555,23 +558,13 @@ def test_what_leads_to_a_mishap_is_not_imitated(kind: str) -> None:
     block = numbered(12)._replace(
         collision=(np.arange(12) == 6)[:, None], instability=(np.arange(12) == 11)[:, None]
     )  # episodes of four
-    store: Store = ReplayBuffer(100, 1, widths=WIDTHS, reward=toy.reward)
+    store: Transitions = Transitions.ring(100, 1, widths=WIDTHS, reward=toy.reward)
     if kind == "live":
         store.add(block)
     else:
-        names = (
-            "state",
-            "action",
-            "distance",
-            "boundary",
-            "goal",
-            "collision",
-            "instability",
-            "terminated",
-        )
-        columns = {name: getattr(block, name)[:, 0] for name in names}
-        store = LogReplay(
-            Columns(**columns, final=block.next_state[3::4, 0], length=np.array([4, 4, 4])),
+        columns = {name: getattr(block, name)[:, 0] for name in names(LEARNT)}
+        store = Transitions.of_logs(
+            Columns(columns, final=block.next_state[3::4, 0], length=np.array([4, 4, 4])),
             toy.reward,
         )
     rows = np.arange(12)
@@ -591,6 +584,20 @@ def test_logs_are_imitated_and_of_live_steps_those_in_hindsight(rng: np.random.G
     np.testing.assert_array_equal(
         imitated, np.repeat([1.0, 0.5, 0.0], [16, 4, 12])
     )  # nothing goes wrong in these episodes
+
+
+def test_examples_are_logged_states_with_what_was_done_there(rng: np.random.Generator) -> None:
+    logs, live = stores()
+    replay = MixedReplay(config(horizon=1), toy.task(), gamma=GAMMA, logs=logs, live=live)
+    found = replay.examples(rng)
+    rows = np.arange(len(logs))
+    known = {
+        state.tobytes(): action
+        for state, action in zip(logs.take("state", rows), logs.take("action", rows), strict=True)
+    }
+    wanted = np.stack([known[state.numpy().tobytes()] for state in found.state])
+    np.testing.assert_array_equal(found.action.numpy(), wanted)
+    np.testing.assert_array_equal(found.imitated.numpy(), np.ones((len(wanted), 1)))
 
 
 def test_a_steady_motion_is_imitated_in_hindsight_and_what_was_done_otherwise(
@@ -621,7 +628,7 @@ def test_stores_that_cannot_be_mixed_are_refused() -> None:
         MixedReplay(
             config(log_hindsight=0.5), replace(toy.task(), view=None), gamma=GAMMA, logs=logs
         )
-    other = ReplayBuffer(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
+    other = Transitions.ring(100, 1, widths=(5, toy.N_U, 2), reward=toy.reward)
     with pytest.raises(
         ConfigError,
         match=r"logs have widths \(n_x, n_u, k\) = \(18, 9, 2\), live steps \(5, 9, 2\)",

@@ -10,10 +10,10 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.policies.checkpoint import generator_from_json, generator_to_json
+from coordlog.spec import LEARNT, names
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.reward import Flags, rewards
-from coordlog.train.buffer import Block
-from coordlog.train.logs import Columns
+from coordlog.train.columns import Block, Columns
 from coordlog.train.relabel import GoalView
 from coordlog.train.task import Task
 
@@ -170,18 +170,8 @@ def logs(episodes: int = 40, *, seed: int = 1, limit: int = 20, noise: float = 0
     for lane in range(episodes):
         steps = int((block.episode[:, lane] == lane).sum())
         length.append(steps)
-        for name in (
-            "state",
-            "action",
-            "distance",
-            "boundary",
-            "goal",
-            "collision",
-            "instability",
-            "terminated",
-        ):
+        for name in names(LEARNT):
             parts.setdefault(name, []).append(getattr(block, name)[:steps, lane])
         parts.setdefault("final", []).append(block.next_state[steps - 1, lane][None])
-    return Columns(
-        **{name: np.concatenate(arrays) for name, arrays in parts.items()}, length=np.array(length)
-    )
+    whole = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    return Columns(whole, final=whole.pop("final"), length=np.array(length))

@@ -18,7 +18,7 @@ from coordlog.record.writer import BLOCK, EpisodeWriter, write_episode
 from coordlog.spec import FINAL, REACH, STEP
 from coordlog.verify.file import check
 from coordlog.verify.repair import recover
-from tests.synthetic import ATTACHMENTS, COLUMNS, assert_same, make_episode, outcome, rewards
+from tests.synthetic import ATTACHMENTS, COLUMNS, assert_same, make_episode, outcome
 from tests.verify.test_repair import assert_prefix
 
 HERE = Path(__file__).parents[2]
@@ -80,7 +80,7 @@ def assert_true_logs(folder, told):
             np.random.default_rng([int(part) for part in name.split("-")]), length=100
         )
         if path.suffix == ".mcap":
-            assert check(path, rewards=rewards) == []
+            assert check(path) == []
             assert_same(read_episode(path), original)
             continue
         assert path.name == f"{name}.mcap{PART}"
@@ -95,7 +95,7 @@ def assert_true_logs(folder, told):
             assert flushed.get(name, 0) == 0
             continue
         assert recovered.steps_kept >= flushed.get(name, 0) - 1
-        assert check(recovered.path, rewards=rewards) == []
+        assert check(recovered.path) == []
         assert_prefix(read_episode(recovered.path), original)
 
 

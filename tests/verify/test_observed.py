@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from coordlog.cli import app
 from coordlog.exchange.importing import Plan, import_source
 from coordlog.exchange.robot_model import read_model
+from coordlog.record.recording import Recording
 from coordlog.verify.observed import judged
 from tests.exchange.test_import import ARM
 
@@ -28,7 +29,7 @@ def imported(tmp_path):
 
 
 def test_limits_speeds_and_contact_are_told(imported):
-    said = judged(imported())
+    said = judged(Recording(imported()))
     assert "fastest elbow, 2/s at sample" in said
     assert "elbow outside its range at 1 samples, by 0.082" in said
     assert " of 14 samples, deepest" in said
@@ -36,11 +37,11 @@ def test_limits_speeds_and_contact_are_told(imported):
 
 
 def test_without_a_model_there_is_less_to_tell(imported):
-    assert "without a model: no limits, no contact" in judged(imported(robot=False))
+    assert "without a model: no limits, no contact" in judged(Recording(imported(robot=False)))
 
 
 def test_a_simulated_episode_is_none_of_its_business(file):
-    assert judged(file) == ""
+    assert judged(Recording(file)) == ""
 
 
 def test_check_does_not_call_it_sound(imported):

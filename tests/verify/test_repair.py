@@ -14,7 +14,7 @@ from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.verify.file import check
 from coordlog.verify.repair import ABORTED, recover, restored_whole, salvaged
 from tests.record.test_reader import bad_files, foreign_mcap
-from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome, rewards
+from tests.synthetic import ATTACHMENTS, assert_same, make_episode, outcome, telling
 
 
 def assert_prefix(got, original):
@@ -53,17 +53,17 @@ def test_a_part_file_becomes_an_episode_up_to_the_last_known_outcome(tmp_path, e
     got = read_episode(path)
     assert_prefix(got, episode)
     assert got.result.aborted == ABORTED
-    assert check(path, rewards=rewards) == []
+    assert check(path) == []
     assert read_attachments(path) == ATTACHMENTS
     assert part.read_bytes() == before
     assert sorted(os.listdir(tmp_path)) == ["a.mcap", "a.mcap.part"]
     assert (b"/joint_states" in path.read_bytes()) == display
 
 
-def test_a_cut_at_every_byte_gives_true_steps_or_a_refusal(tiny, tiny_file):
+def test_a_cut_anywhere_gives_true_steps_or_a_refusal(tiny, tiny_file):
     data = tiny_file.read_bytes()
     kept = []
-    for size in range(len(data)):
+    for size in telling(data, within=43):
         assert restored_whole(data[:size]) is None
         salvage = outcome(salvaged, data[:size])
         if isinstance(salvage, FormatError):
@@ -83,7 +83,7 @@ def test_a_cut_at_every_byte_gives_true_steps_or_a_refusal(tiny, tiny_file):
 
 def test_a_cut_at_any_byte_gives_a_valid_file_or_a_refusal(tiny_file, tmp_path):
     data, valid = tiny_file.read_bytes(), 0
-    for size in range(0, len(data), 61):
+    for size in range(0, len(data), 151):
         part = tmp_path / f"{size}.mcap.part"
         part.write_bytes(data[:size])
         recovered = outcome(recover, part)
@@ -91,15 +91,15 @@ def test_a_cut_at_any_byte_gives_a_valid_file_or_a_refusal(tiny_file, tmp_path):
             assert str(recovered).startswith(f"{part}: ")
             assert not part.with_suffix("").exists()
             continue
-        assert check(recovered.path, rewards=rewards) == []
+        assert check(recovered.path) == []
         valid += 1
-    assert valid > 40
+    assert valid > 15
 
 
 def test_a_bit_flipped_anywhere_is_put_back_or_costs_steps_never_truth(tiny, tiny_file, rng):
     data = tiny_file.read_bytes()
     whole = 0
-    for at in range(0, len(data), 11):
+    for at in range(0, len(data), 29):
         damaged = bytearray(data)
         damaged[at] ^= 1 << int(rng.integers(0, 8))
         repaired = restored_whole(bytes(damaged))
@@ -113,7 +113,7 @@ def test_a_bit_flipped_anywhere_is_put_back_or_costs_steps_never_truth(tiny, tin
         salvage = outcome(salvaged, bytes(damaged))
         if not isinstance(salvage, FormatError):
             assert_prefix(salvage.episode, tiny)
-    assert whole > len(data) // 11 * 0.5
+    assert whole > len(data) // 29 * 0.5
 
 
 def test_a_flipped_bit_is_put_back_byte_for_byte(file, episode, tmp_path):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +9,16 @@ import pytest
 
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.view.joints import joints_figure
-
-COORDLOG = [sys.executable, "-m", "coordlog.cli"]
+from tests.spoken import sound
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A raw log and the smoothed one."""
     folder = tmp_path_factory.mktemp("plot")
-    for args in (
-        ["record", "--scene", "planar", "--episodes", "1", "--noise", "0.2", "--out", "raw"],
-        ["smooth", "raw", "--out", "new"],
-    ):
-        subprocess.run([*COORDLOG, *args], cwd=folder, check=True, capture_output=True)
+    noisy = ("--scene", "planar", "--episodes", "1", "--noise", "0.2")
+    sound("record", *noisy, "--out", folder / "raw")
+    sound("smooth", folder / "raw", "--out", folder / "new")
     (raw,) = (folder / "raw").iterdir()
     return raw, folder / "new" / raw.name
 
@@ -61,19 +56,9 @@ def test_the_command_writes_a_picture_and_replaces_none(
     files: tuple[Path, Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "deeper" / "joints.png"
-    call = [*COORDLOG, "plot", str(files[1]), str(files[0]), "--out", str(out)]
-    subprocess.run(call, check=True, capture_output=True)
+    call = ("plot", files[1], files[0], "--out")
+    sound(*call, out)
     assert out.read_bytes()[:4] == b"\x89PNG"
-    again = subprocess.run(call, capture_output=True, text=True, check=False)
-    assert again.returncode == 2
-    assert "not overwritten" in again.stderr
-    wrong = subprocess.run(
-        [*call[:-1], str(tmp_path / "joints.docx")], capture_output=True, text=True, check=False
-    )
-    assert wrong.returncode == 2
-    assert ".svg" in wrong.stderr
-    folder = subprocess.run(
-        [*COORDLOG, "plot", str(files[1].parent)], capture_output=True, text=True, check=False
-    )
-    assert folder.returncode == 2
-    assert "got a folder" in folder.stderr
+    assert "not overwritten" in sound(*call, out, code=2).stderr
+    assert ".svg" in sound(*call, tmp_path / "joints.docx", code=2).stderr
+    assert "got a folder" in sound("plot", files[1].parent, code=2).stderr

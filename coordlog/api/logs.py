@@ -8,22 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.commands import terminal
-from coordlog.errors import ConfigError, FormatError, SpecError
+from coordlog.catalog.asking import chosen
+from coordlog.errors import FormatError, SpecError
+from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
-
-
-CLOSED: dict[str, str | bool | int | float | list[str]] = {
-    "enable_external_access": "false",
-    "autoinstall_known_extensions": "false",
-    "autoload_known_extensions": "false",
-    "memory_limit": "1GB",
-    "lock_configuration": "true",
-}
-"""How a database is opened that is asked what somebody typed: it reaches no file."""
 
 
 def cache_folder() -> Path:
@@ -32,7 +23,13 @@ def cache_folder() -> Path:
 
 
 def load_logs(
-    paths: list[Path], *, where: str, skip_broken: bool, jobs: int, verify: bool = False
+    paths: Sequence[Path],
+    *,
+    where: str = "",
+    skip_broken: bool = False,
+    jobs: int | str = 0,
+    verify: bool = False,
+    monitor: Monitor | None = None,
 ) -> Logs:
     """The episodes under some folders that satisfy a condition, as columns; all of one scene and
     one state layout.
@@ -45,38 +42,36 @@ def load_logs(
     from coordlog.record.cache import load
     from coordlog.record.files import find_files, nothing_found
 
-    files = find_files(paths)
+    files = chosen(paths, where, jobs=jobs, monitor=monitor) if where else find_files(paths)
     if not files.paths:
         raise nothing_found(paths, files, wanted="no logs: ")
-    with terminal.progress() as bar:
+    heard = Monitor() if monitor is None else monitor
 
-        def run(
-            build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
-        ) -> Iterable[Built]:
-            task = bar.add_task("decoding new logs", total=sum(map(len, groups)), note="")
+    def run(
+        build: Callable[[Sequence[Path]], Built], groups: Sequence[Sequence[Path]]
+    ) -> Iterable[Built]:
+        with heard.progress("decoding new logs", sum(map(len, groups))) as progress:
             for built in mapped(build, groups, jobs=jobs):
-                bar.update(task, advance=built.files)
+                progress.advance(built.files)
                 yield built
 
-        logs = load(files.paths, cache_folder(), run=run, verify=verify)
+    logs = load(files.paths, cache_folder(), run=run, verify=verify)
     logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
     for text in logs.notes:
-        terminal.note(text)
+        heard.note(text)
     for item in logs.skipped:
         if not skip_broken:
             raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
-        terminal.note(f"skipped: {item.path}: {item.reason}")
-    chosen = logs.select(matching(logs, where)) if where else logs
-    if not len(chosen):
-        raise ConfigError(f"--where: no episode of {len(logs)} satisfies: {where}")
-    scenes = sorted(set(chosen.episodes.column("scene").to_pylist()))
+        heard.note(f"skipped: {item.path}: {item.reason}")
+    scenes = sorted(set(logs.episodes.column("scene").to_pylist()))
     if len(scenes) > 1:
         raise SpecError(
-            f"logs of several scenes ({', '.join(scenes)}): learn from one, for example --where \"scene = '{scenes[0]}'\""
+            f"logs of several scenes ({', '.join(scenes)}): learn from one, "
+            f"for example --where \"scene = '{scenes[0]}'\""
         )
-    _require_task(chosen)
-    _require_alike(chosen)
-    return chosen
+    _require_task(logs)
+    _require_alike(logs)
+    return logs
 
 
 def _require_task(logs: Logs) -> None:
@@ -90,33 +85,6 @@ def _require_task(logs: Logs) -> None:
         f"{file}: expected an episode with distances to goals, collisions and falls, got {got}; "
         "other learners take it after `coordlog export`"
     )
-
-
-def matching(logs: Logs, where: str) -> list[int]:
-    """Rows of the episodes that satisfy an SQL condition over the columns of `Logs.episodes`.
-
-    Raises:
-        ConfigError: if it is no condition over these columns.
-    """
-    import duckdb
-
-    from coordlog.conditions import require_condition
-
-    columns = [name for name in logs.episodes.column_names if name not in ("state", "env")]
-    episodes = logs.episodes.select(columns).append_column("row", [list(range(len(logs)))])
-    with duckdb.connect(config=CLOSED) as connection:
-        connection.register("episodes", episodes)
-        try:
-            require_condition(connection, where)
-            rows = connection.execute(
-                f"select row from episodes where ({where}\n) order by row"
-            ).fetchall()
-        except (duckdb.Error, ValueError) as error:
-            names = ", ".join(columns)
-            raise ConfigError(
-                f"--where: expected an SQL condition over {names}; {str(error).splitlines()[0]}"
-            ) from error
-    return [row for (row,) in rows]
 
 
 def _require_alike(logs: Logs) -> None:

@@ -28,18 +28,18 @@ def sibling(path: Path) -> tuple[Path, Path] | None:
     The tree is the folder above the file's own. Only the ends of files are read; a digest is
     computed where the header fits.
     """
-    from coordlog.record.cache import file_digest
+    from coordlog.record.addresses import sha256
 
     own = _header(path)
     if own is None:
         return None
     parents = own.lineage["parents"]
-    digest = None if parents else file_digest(path)
+    digest = None if parents else sha256(path)
     for candidate in _near(path.resolve()):
         other = _header(candidate)
         if other is None or _drawn(other) != _drawn(own):
             continue
-        if parents and file_digest(candidate) in parents:
+        if parents and sha256(candidate) in parents:
             return candidate, path
         if digest in other.lineage["parents"]:
             return path, candidate

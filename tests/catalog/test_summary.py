@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from coordlog.record.info import summarise
+from coordlog.catalog.summary import summarise
 from coordlog.record.writer import write_episode
 from tests.record.test_reader import bad_files
 from tests.synthetic import ATTACHMENTS, make_episode, make_header
@@ -25,7 +25,7 @@ def folder(tmp_path, rng):
 
 
 def test_rows_and_totals(folder):
-    summary = summarise(folder)
+    summary = summarise([folder])
     assert [
         (row.scene, row.policy, row.length, row.success, row.clean, row.aborted)
         for row in summary.rows
@@ -62,12 +62,12 @@ def test_lineage_is_told(tmp_path, rng):
     write_episode(
         tmp_path / "a.mcap", make_episode(rng, header=header), attachments={}, display=False
     )
-    (row,) = summarise(tmp_path).rows
+    (row,) = summarise([tmp_path]).rows
     assert (row.transform, row.parents) == ("smooth", ("ab" * 32,))
 
 
 def test_it_is_plain_json(folder):
-    summary = summarise(folder)
+    summary = summarise([folder])
     data = json.loads(json.dumps(summary.to_json()))
     assert [row["path"] for row in data["episodes"]] == [
         str(folder / f"{name}.mcap") for name in "abc"
@@ -80,13 +80,13 @@ def test_it_is_plain_json(folder):
 def test_broken_files_are_named_with_their_reason(folder):
     bad = bad_files(folder, make_header())
     del bad["folder.mcap"]
-    summary = summarise(folder)
+    summary = summarise([folder])
     assert len(summary.rows) == 3
     assert {skipped.path.name for skipped in summary.skipped} == bad.keys()
     assert all(bad[skipped.path.name] in skipped.reason for skipped in summary.skipped)
 
 
 def test_an_empty_folder_has_no_rows(tmp_path):
-    summary = summarise(tmp_path)
+    summary = summarise([tmp_path])
     assert summary.rows == ()
     assert summary.totals.episodes == 0

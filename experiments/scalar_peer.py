@@ -1,6 +1,8 @@
 """stable-baselines3's TD3 + HER on `coordlog.GymEnv`, as its users would call it: one reward, the
 sum of the arms'.
 
+    python -m experiments.scalar_peer table runs/peers-table/td3-s0 --steps 40000 --seed 0
+
 The network, batch, discount, learning rate, exploration, updates per step and share of goals in
 hindsight are those of our settings; what makes TD3 (delayed actor, target noise, targets of one
 step, goals from anywhere later in an episode, endings as they were) stays as that library has it.
@@ -10,13 +12,14 @@ those of a run folder, so that `coordlog plot` draws them beside ours.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
+import torch
 from stable_baselines3 import TD3, HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
@@ -29,7 +32,8 @@ from coordlog.sim.gym import GymEnv
 from coordlog.sim.scoring import evaluate, figures
 from coordlog.tasks.scene import find
 from coordlog.train.config import NoiseConfig
-from coordlog.train.settings import Settings
+from coordlog.train.settings import Settings, load_settings
+from experiments.actors import Foreign
 
 NAME = "TD3 + HER of stable-baselines3"
 EVALUATION_ENVS = 32
@@ -40,11 +44,13 @@ class SumOfArms(GymEnv):
 
     factor = 1.0
 
-    def step(self, action):
+    def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """A step with that reward."""
         observation, reward, terminated, truncated, info = super().step(action)
         return observation, reward * self.factor, terminated, truncated, info
 
-    def compute_reward(self, achieved_goal, desired_goal, info):
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """That reward of goals in hindsight."""
         return super().compute_reward(achieved_goal, desired_goal, info) * self.factor
 
 
@@ -57,33 +63,11 @@ class Decaying(ActionNoise):
         self._rng = np.random.default_rng([seed, 1])
 
     def __call__(self) -> Array:
+        """The noise of a step."""
         self._taken += 1
         return self._rng.normal(
             0.0, self._config.at(min(1.0, self._taken / self._steps)), self._n_u
         ).astype(np.float32)
-
-
-class AsPolicy:
-    """A model as a policy of `rollout`: from the policy state to the observation that the model
-    knows.
-    """
-
-    def __init__(self, model: TD3, env: BatchEnv, seen: Array, space: spaces.Dict) -> None:
-        self._model, self._view, self._seen, self._space = model, env.task.view, seen, space
-
-    def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
-        pass
-
-    def observation(self, state: Array) -> dict[str, Array]:
-        box = self._space["observation"]
-        return {
-            "observation": np.clip(state[:, self._seen], box.low, box.high),
-            "achieved_goal": self._view.physical(state, "palms"),
-            "desired_goal": self._view.physical(state, "goals"),
-        }
-
-    def act(self, ids: Array, state: Array) -> Array:
-        return self._model.predict(self.observation(state), deterministic=True)[0]
 
 
 class Rows(BaseCallback):
@@ -96,22 +80,13 @@ class Rows(BaseCallback):
     """
 
     def __init__(
-        self, folder: Path, policy: AsPolicy, env: BatchEnv, *, every: int, episodes: int
+        self, folder: Path, policy: Foreign, env: BatchEnv, *, every: int, episodes: int
     ) -> None:
         super().__init__()
-        self._folder, self._policy, self._env, self._every, self._episodes = (
-            folder,
-            policy,
-            env,
-            every,
-            episodes,
-        )
-        self._ended, self._fresh, self._due, self._began = (
-            0,
-            list[bool](),
-            every,
-            time.perf_counter(),
-        )
+        self._folder, self._policy, self._env = folder, policy, env
+        self._every, self._episodes = every, episodes
+        self._ended, self._fresh, self._due = 0, list[bool](), every
+        self._began = time.perf_counter()
 
     def _on_step(self) -> bool:
         self._fresh += [
@@ -141,24 +116,14 @@ class Rows(BaseCallback):
         }
         self._fresh = []
         self._write("training", told)
-        self._write(
-            "evaluation",
-            figures(
-                evaluate(
-                    self._env, self._policy, episodes=self._episodes, k=self._env.layout.k, seed=0
-                )
-            ),
-        )
+        k = self._env.layout.k
+        judged = evaluate(self._env, self._policy, episodes=self._episodes, k=k, seed=0)
+        self._write("evaluation", figures(judged))
 
     def _write(self, kind: str, values: dict[str, float]) -> None:
-        row = {
-            "kind": kind,
-            "update": int(self.model._n_updates),
-            "step": self.num_timesteps,
-            **values,
-        }
+        row = {"kind": kind, "update": int(self.model._n_updates), "step": self.num_timesteps}
         with (self._folder / "metrics.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
+            file.write(json.dumps(row | values) + "\n")
 
 
 def learn(
@@ -211,7 +176,7 @@ def learn(
         device="cpu",
         seed=seed,
     )
-    policy = AsPolicy(model, judge, single._seen, single.observation_space)
+    policy = Foreign(model, judge)
     require_same_sight(policy, judge, single)
     folder.mkdir(parents=True)
     said = {"scene": scene, "mode": NAME, "seed": seed, "settings": settings.asdict(), "envs": envs}
@@ -221,7 +186,7 @@ def learn(
     (folder / "finished").touch()
 
 
-def require_same_sight(policy: AsPolicy, env: BatchEnv, single: GymEnv) -> None:
+def require_same_sight(policy: Foreign, env: BatchEnv, single: GymEnv) -> None:
     """Make sure that the model sees in an evaluation what it saw while learning."""
     env.reset(np.array([0]), [env.problem(seed=5, split="train", index=3)])
     seen, _ = single.reset(seed=5, options={"index": 3})
@@ -229,7 +194,21 @@ def require_same_sight(policy: AsPolicy, env: BatchEnv, single: GymEnv) -> None:
         np.testing.assert_allclose(values[0], seen[name], atol=1e-5, err_msg=name)
 
 
-def curve(folder: Path) -> Sequence[dict[str, float]]:
-    """The evaluations of a run folder."""
-    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-    return [row for row in rows if row["kind"] == "evaluation"]
+def main(arguments: list[str] | None = None) -> None:
+    """Train one, which takes hours; `coordlog plot` draws it beside ours."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.scalar_peer", description=(__doc__ or "").split("\n", 1)[0]
+    )
+    parser.add_argument("scene")
+    parser.add_argument("out", type=Path, help="a run folder that is not there yet")
+    for name, usual in (("steps", 60_000), ("seed", 0), ("every", 5_000), ("episodes", 100)):
+        parser.add_argument(f"--{name}", type=int, default=usual)
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    said = (f"loop.seed={given.seed}", "loop.updates=0", f"loop.steps={given.steps}")
+    budget = {"steps": given.steps, "every": given.every, "episodes": given.episodes}
+    learn(given.scene, load_settings(assignments=said), given.out, envs=32, **budget)
+
+
+if __name__ == "__main__":
+    main()
