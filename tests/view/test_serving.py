@@ -31,7 +31,9 @@ def test_an_episode_is_a_row_with_its_properties_and_the_layout_of_view(tmp_path
         _, result, _ = read_summary(path)
         assert table.num_rows == 1
         for name in ("success", "clean", "length"):
-            assert table.column(f"property:coordlog:{name}").to_pylist() == [[getattr(result, name)]]
+            assert table.column(f"property:coordlog:{name}").to_pylist() == [
+                [getattr(result, name)]
+            ]
         port = int(address.rsplit(":", 1)[1])
         with pytest.raises(ViewerError), serving(tmp_path, port=port):
             pass
