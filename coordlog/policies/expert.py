@@ -194,10 +194,10 @@ class Expert:
         )  # a slow spine's detour would take the whole episode
         for _ in range(TRIES):
             for end in ends:
-                known = ways[0] or [(start + end) / 2]  # around the middle of the straight way
+                bends = ways[0] or [(start + end) / 2]  # around the middle of the straight way
                 vias = [
                     np.clip(via + spread * rng.standard_normal(len(via)), low, high)
-                    for via in known
+                    for via in bends
                 ]
                 if self._clear([start, *vias, end], CLEARANCES[-1]):
                     return [*vias, end]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import pi
 from typing import Any
 
@@ -97,12 +98,12 @@ def stand(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
 
 def balanced(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot
-) -> dict[str, dict[str, float]]:
+) -> Mapping[str, Mapping[str, float]]:
     """The poses; where no keyframe says how a robot on feet stands, its legs are bent in the start
     pose so that its centre of mass is above its feet, which stay level and flat.
     """
     if not robot.soles or model.nkey:
-        return dict(robot.poses)
+        return robot.poses
     stand(model, data, robot)
     mujoco.mj_forward(model, data)
     soles = soles_of(model, robot)
@@ -114,7 +115,7 @@ def balanced(
         if model.jnt_type[j] == HINGE and model.joint(j).name
     )
     if not legs:
-        return dict(robot.poses)
+        return robot.poses
     index = model.jnt_qposadr[legs]
     before, level = data.qpos[index].copy(), data.xmat[grounded].copy()
     low, high = np.where(model.jnt_limited[legs, None], model.jnt_range[legs], (-pi, pi)).T
@@ -143,7 +144,7 @@ def balanced(
         angles = np.clip(angles - np.linalg.lstsq(slope.T, error, rcond=None)[0], low, high)
         error = wrong(angles)
     bent = {model.joint(j).name: round(float(a), 4) for j, a in zip(legs, angles, strict=True)}
-    return {**robot.poses, "stand": robot.poses["stand"] | bent}
+    return {**robot.poses, "stand": {**robot.poses["stand"], **bent}}
 
 
 def _above_what(model: mujoco.MjModel, data: mujoco.MjData, soles: list[int]) -> Array:
