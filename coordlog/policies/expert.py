@@ -177,28 +177,29 @@ class Expert:
         """
         ends = self._ends(goals, rng, held)
         ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
-        known = [[*vias, end] for end in ends for vias in ways]
+        ready = [[*vias, end] for end in ends for vias in ways]
         if self._task.n_spheres:
             direct = [[end] for end in ends]
             for clearance in SLIDING:
-                for way in direct + known:
+                for way in direct + ready:
                     if self._slides(start, way, goals, clearance):
                         return way
         for clearance in CLEARANCES:
-            for way in known:
+            for way in ready:
                 if self._clear([start, *way], clearance):
                     return way
         low, high = self._task.limits.T
         spread = (
             SPREAD * self._moves * self._step / self._step.max()
         )  # a slow spine's detour would take the whole episode
+
+        def bent(via: Array) -> Array:
+            return np.asarray(np.clip(via + spread * rng.standard_normal(len(via)), low, high))
+
         for _ in range(TRIES):
+            known = [bent(via) for via in ways[0]]
             for end in ends:
-                bends = ways[0] or [(start + end) / 2]  # around the middle of the straight way
-                vias = [
-                    np.clip(via + spread * rng.standard_normal(len(via)), low, high)
-                    for via in bends
-                ]
+                vias = known or [bent((start + end) / 2)]  # about the middle of the straight way
                 if self._clear([start, *vias, end], CLEARANCES[-1]):
                     return [*vias, end]
         return [*ways[0], ends[0]]
