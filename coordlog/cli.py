@@ -7,6 +7,7 @@ and named), 130 interrupted.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from typing import Annotated
 
@@ -48,7 +49,10 @@ DEBUG = "COORDLOG_DEBUG"
 
 app = typer.Typer(
     name="coordlog",
-    help="Robot episodes that are never lost, never silently wrong, and always replayable: record, check, train, smooth, view.",
+    help=(
+        "Robot episodes that are never lost, never silently wrong, and always replayable: record, "
+        "check, train, smooth, view."
+    ),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -94,6 +98,8 @@ def coordlog(
 def main() -> None:
     """Entry point of the console script."""
     terminal.prepare_streams()
+    # a polite kill unwinds as Ctrl-C does: nothing that was started is left behind
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = EXIT_BAD_INPUT
     try:
         app(standalone_mode=True)

@@ -1,4 +1,4 @@
-"""Objects that keep a state of their own, each in a process of a cluster or all of them right here."""
+"""Objects that keep a state of their own, each in a process of a cluster or all right here."""
 
 from __future__ import annotations
 

@@ -68,8 +68,9 @@ class Header:
     ({part: [first, last + 1]}), state_offset and state_scale (state = (physical - offset) / scale,
     n_x each), layout (n_q, n_v, n_x, n_u, k, n_c)"""
     policy: Json
-    """kind, name, checkpoint_sha256 or "", noise (constants of the exploration noise, {}
-    without)"""
+    """kind, name, checkpoint_sha256 or "", noise (constants of the exploration noise, {} without);
+    where there are any: constants (of a scripted policy), shield (what keeps it from obstacles),
+    damper (constants of the velocity damper)"""
     lineage: Json = field(
         default_factory=lambda: {"parents": [], "transform": "", "parameters": {}}
     )

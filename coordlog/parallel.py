@@ -78,10 +78,10 @@ def mapped(
     Args:
         function: A module-level function: it is sent to fresh processes. On a cluster it may be
             called twice with an item, where a process died: what it writes must be the same.
-        items: What to call it with. Without a length, such as of a generator that need not end, they
-            are worked on a little ahead of what is asked for, and never right here.
-        jobs: Processes, 0 for one per core; or a cluster, see `workers`. Of items that have a length
-            a single one, or a single process, runs right here.
+        items: What to call it with. Without a length, such as of a generator that need not end,
+            they are worked on a little ahead of what is asked for, and never right here.
+        jobs: Processes, 0 for one per core; or a cluster, see `workers`. Of items that have a
+            length a single one, or a single process, runs right here.
 
     Raises:
         ConfigError: if `jobs` is none, or the cluster cannot be reached.
@@ -94,17 +94,16 @@ def mapped(
     if isinstance(wanted, str):
         yield from _on_ray(function, items, wanted)
         return
-    count, window = wanted or os.cpu_count() or 1, _IN_FLIGHT
-    begin: Callable[[], None] | None = _attend
+    count, window, ends = wanted or os.cpu_count() or 1, _IN_FLIGHT, isinstance(items, Sized)
     if isinstance(items, Sized):
-        count, window, begin = min(count, len(items)), len(items), None
+        count, window = min(count, len(items)), len(items)
         if count <= 1:
             yield from map(function, items)
             return
     # Fresh processes, not forks: a fork would inherit the threads of a progress bar in an unknown
     # state.
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=spawn, initializer=begin) as pool:
+    with ProcessPoolExecutor(count, spawn, initializer=_attend, initargs=(ends,)) as pool:
         yield from _in_order(
             items,
             max(window, count * _IN_FLIGHT),
@@ -114,12 +113,15 @@ def mapped(
         )
 
 
-def _attend() -> None:
-    """Leave Ctrl-C to the process that we work for, and end when it does, however it ends."""
+def _attend(ends: bool) -> None:
+    """End when the process that we work for does, however it ends; leave Ctrl-C to it where the
+    work does not end by itself.
+    """
     parent = multiprocessing.parent_process()
     if parent is None:
         return
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not ends:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end() -> None:
         parent.join()
@@ -211,7 +213,8 @@ def cluster(address: str) -> Iterator[Any]:
             ray.init(address, **quiet)
     except Exception as error:  # noqa: BLE001 - Ray raises whatever its transport does
         raise ConfigError(
-            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head needs"
+            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head "
+            "needs"
             f" Ray {ray.__version__}, as here, and the same Python"
         ) from None
     try:

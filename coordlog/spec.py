@@ -44,8 +44,8 @@ class Field(NamedTuple):
     unit: str
     doc: str
     when: When = "after"
-    """"before" the action (T + 1 rows: every step and the final state), "during" (the action itself,
-    T rows) or "after" it (T rows)."""
+    """"before" the action (T + 1 rows: every step and the final state), "during" (the action
+    itself, T rows) or "after" it (T rows)."""
     owner: str = CORE
     """"core", or the name of the task that declares the field."""
 
@@ -149,7 +149,8 @@ REACH = (
 STEP = Message(
     "coordlog_msgs/msg/Step",
     "/coordlog/step",
-    "One control step: the state before the action, the action executed, and what it led to. Authoritative.",
+    "One control step: the state before the action, the action executed, and what it led to. "
+    "Authoritative.",
     (
         STEP_INDEX,
         *_BEFORE,
@@ -179,7 +180,8 @@ V1_STEP = STEP._replace(
 FINAL = Message(
     "coordlog_msgs/msg/Final",
     "/coordlog/final",
-    "The state after the last action: N steps and one final state, never an action without its outcome.",
+    "The state after the last action: N steps and one final state, never an action without its "
+    "outcome.",
     (
         STEP_INDEX._replace(doc="number of steps"),
         *(item._replace(doc=item.doc.replace("before the", "after the last")) for item in _BEFORE),
@@ -189,7 +191,8 @@ FINAL = Message(
 CONTACTS = Message(
     "coordlog_msgs/msg/Contacts",
     "/coordlog/contacts",
-    "Contacts other than sole on floor during one control step: per geom pair the deepest over the substeps.",
+    "Contacts other than sole on floor during one control step: per geom pair the deepest over "
+    "the substeps.",
     (
         Field("step", "int64", "", "", "control step during which they happened"),
         Field("substep", "int32", "c", "", "physics substep of the control step, from 0"),
@@ -205,7 +208,8 @@ CONTACTS = Message(
 INPUTS = Message(
     "coordlog_msgs/msg/Inputs",
     "/coordlog/inputs",
-    "What else the physics is given from this substep on, until the next message; none if it never changes.",
+    "What else the physics is given from this substep on, until the next message; none if it "
+    "never changes.",
     (
         Field("step", "int64", "", "", "control step, from 0"),
         Field("substep", "int32", "", "", "physics substep of the control step, from 0"),
@@ -240,7 +244,8 @@ KNOT = Message(
 SPLINE = Message(
     "coordlog_msgs/msg/Spline",
     "/coordlog/spline",
-    "One break point of a smoothed path; between two of them the path is the cubic Hermite polynomial.",
+    "One break point of a smoothed path; between two of them the path is the cubic Hermite "
+    "polynomial.",
     (
         Field("time", "float64", "", "s", "since the start of the episode"),
         Field("position", "float64", "n_j", "rad", "spline value"),
@@ -285,7 +290,8 @@ def arm_message(task: str, fields: tuple[Field, ...]) -> Message:
     return Message(
         f"coordlog_msgs/msg/{prefix}Arm",
         ARM_TOPIC,
-        "One arm's share of a step as named scalars, for viewers; the topic ends in the arm's name.",
+        "One arm's share of a step as named scalars, for viewers; the topic ends in the arm's "
+        "name.",
         tuple(item._replace(size="", doc=item.doc.replace("each arm", "the arm")) for item in each),
     )
 

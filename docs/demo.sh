@@ -26,7 +26,7 @@ run check "$OUT/logs"
 run info "$OUT/logs/pretrained"
 
 step '3 of 7: train, from the logs of the expert'
-run train --from "$OUT/logs/expert/table" --from "$OUT/logs/expert/table-noisy" --updates 1500 --eval-every 750 --eval-episodes 32 --out "$OUT/run"
+run train --from "$OUT/logs/expert/table" --from "$OUT/logs/expert/table-noisy" --preset quick --eval-episodes 32 --out "$OUT/run"
 
 step '4 of 7: evaluate what was learnt, on problems that neither training nor its evaluations have seen'
 run record --policy "$OUT/run" --split test --seed 1 --episodes 64 --out "$OUT/logs/learnt"

@@ -203,9 +203,9 @@ def scene_table(found: Tables, scene: str) -> str:
 
 SPEED = """## Speed, before and after
 
-The tree before the rooms were built (commit 3a60418) and today's, on the same logs and in turns where that can be, processor time of one
-thread; *today* alone where the old benchmark cannot be run beside. Measured on two shared, overloaded cores: trust the ratios, and
-those to a tenth. `make bench` measures all rows but the first four anew.
+The tree before the rooms were built (commit 3a60418) and today's, on the same episodes, taking turns: processor time of one thread, the
+least disturbed turn of each. Measured on two shared, overloaded cores: trust the ratios, and those to a tenth. `python -m
+experiments.speed.bench_before LOGS --before TREE --now V2LOGS` measures them anew.
 
 """
 
@@ -227,8 +227,9 @@ def speed(found: Tables) -> str:
 FIGURES = {
     "scenes": "The four scenes: free, spheres, table, shelf (the paper's Figure 3).",
     "curves": "Live learning, mean and standard deviation over seeds (Figure 4), drawn from "
-    "experiments/curves. A step is a decision: of 0.12 s in `table` and `shelf` (one seed each, the "
-    "preset `live`), of 0.04 s in `free` (three seeds) and `spheres` (one), as before.",
+    "experiments/curves. A step is a decision: of 0.12 s in `spheres`, `table` and `shelf` (one "
+    "seed "
+    "each, the preset `live`), of 0.04 s in `free` (three seeds), as before.",
     "paths": "A held-out episode of the shipped table policy with exploration noise 0.15: knots against splines (Figure 5).",
 }
 

@@ -6,13 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+from coordlog.api.train_plan import TrainPlan, preset_of
 from coordlog.config import plain
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.train.metrics import read_metrics
 from coordlog.train.settings import PRESETS, surroundings
 
-SHORTEST = 1e-6
-"""A share so small that `loop.average` is an average over 1/τ updates, as runs kept at first."""
+KEPT = "    # as of then: the target actor was kept"
+"""What runs kept before there was `loop.average`."""
 
 
 def cost(folder: Path, said: dict[str, Any]) -> dict[str, Any]:
@@ -41,7 +42,9 @@ def command(run: dict[str, Any]) -> str:
     words += ["--live"] if mode == "both" else []
     words += [f"--where {json.dumps(run['where'])}"] if run["where"] else []
     preset = run.get("preset", "default")
-    words += [f"--preset {preset}"] if preset != ("live" if mode == "live" else "default") else []
+    source = None if mode == "live" else ["logs"]
+    untold = preset_of(TrainPlan(source=source, scene=scene))
+    words += [f"--preset {preset}"] if preset != untold else []
     if run.get("start", "stand") != "stand":
         words += [f"--start {run['start']}"]
     if mode != "live" or loop["updates"]:
@@ -55,9 +58,7 @@ def command(run: dict[str, Any]) -> str:
             **replay,
             "log_hindsight": replay.get("log_hindsight", replay["hindsight"]),
         }
-    if "averaged" in loop:  # the target actor, whose average is the shortest there is, or the actor
-        averaged = settings["loop"].pop("averaged")
-        settings["loop"]["average"] = SHORTEST if averaged else 0.0
+    before = settings["loop"].pop("averaged", False)
     for section, values in settings.items():
         usual = PRESETS[preset].asdict()[section]
         words += [
@@ -67,7 +68,7 @@ def command(run: dict[str, Any]) -> str:
         ]
     for section, values in around(run["env"], preset=preset if mode == "live" else "").items():
         words += [f"--set {section}.{key}={json.dumps(value)}" for key, value in values.items()]
-    return " ".join([*words, f"--seed {run['seed']}"])
+    return " ".join([*words, f"--seed {run['seed']}"]) + (KEPT if before else "")
 
 
 def around(env: dict[str, Any], *, preset: str = "") -> dict[str, dict[str, Any]]:

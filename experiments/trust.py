@@ -89,12 +89,19 @@ def smeared(data: bytes, rng: np.random.Generator) -> bytes:
 
 def same(one: Episode, other: Episode) -> bool:
     """Whether two episodes hold the same values, header and result included."""
-    names = [name for name, value in vars(one).items() if isinstance(value, np.ndarray)]
-    return (
-        one.header == other.header
-        and one.result == other.result
-        and all(getattr(one, n).tobytes() == getattr(other, n).tobytes() for n in names)
+    return (one.header, one.result) == (other.header, other.result) and _arrays(one) == _arrays(
+        other
     )
+
+
+def _arrays(episode: Episode) -> dict[str, bytes]:
+    """Every array of an episode, by name."""
+    found = {**episode.columns, "contacts": episode.contacts}
+    found |= {f"inputs/{name}": values for name, values in episode.inputs.items()}
+    if episode.path is not None:
+        path = episode.path
+        found |= {"time/": path.time, "position/": path.position, "velocity/": path.velocity}
+    return {name: np.ascontiguousarray(values).tobytes() for name, values in found.items()}
 
 
 def harm_bytes(
@@ -118,13 +125,14 @@ def harm_bytes(
     """
     rng, found, whole = np.random.default_rng(seed), Count(), source.read_bytes()
     wanted, path = read_episode(source), folder / "harmed.mcap"
+    attached = read_attachments(source)
     for _ in range(count):
         path.write_bytes(how(whole, rng))
         found.tried += 1
         try:
             if check and check_files([path], level="content").findings:
                 found.noticed += 1
-            elif not same(read_episode(path), wanted):
+            elif not same(read_episode(path), wanted) or read_attachments(path) != attached:
                 found.silent += 1
         except CoordlogError:
             found.noticed += 1

@@ -201,7 +201,7 @@ def smooth(source: Any, *rest: Any, out: Source | None = None, **options: Any) -
         return smooth_path(source, angles, checker, **options)
     if out is None:
         raise ConfigError("smooth: expected a folder for the smoothed logs (out=…), got none")
-    from coordlog.smooth.batch import smooth_logs
+    from coordlog.api.smoothing import smooth_logs
 
     how = {name: options.pop(name) for name in BATCH if name in options}
     return smooth_logs(_paths(source), Path(out), options, **how)

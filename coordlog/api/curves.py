@@ -46,7 +46,8 @@ def _against(histories: Sequence[History], wanted: str) -> Against:
     asleep = [history.folder for history in histories if not history.live]
     if wanted in ("episodes", "steps") and asleep:
         raise ConfigError(
-            f"--against {wanted}: expected runs with live steps, got {asleep[0]}, which learns from logs; use updates"
+            f"--against {wanted}: expected runs with live steps, got {asleep[0]}, which learns "
+            "from logs; use updates"
         )
     chosen: dict[str, Against] = {
         "episodes": "episodes",
@@ -68,7 +69,8 @@ def _curves(label: str, group: Sequence[History], name: str, *, against: Against
     explored = _lines(group, name, kind="training", against=against)
     if not held_out and not explored:
         raise ConfigError(
-            f"{group[0].folder}: expected a run with an evaluation or a live episode to draw, got one with neither yet"
+            f"{group[0].folder}: expected a run with an evaluation or a live episode to draw, got "
+            "one with neither yet"
         )
     if not held_out:
         return [Curve(f"{label}, while exploring", *band(explored), runs=explored)]

@@ -1,4 +1,4 @@
-"""The live steps of a training run: an environment that records, here or in a collector's process."""
+"""The live steps of a training run: an environment that records, here or in another process."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class RecordPlan:
     threads: int = 0
     """Threads to simulate on; 0 for all cores."""
     config: Path | None = None
-    """TOML file with tables [env], [reward] and [task]."""
+    """TOML file with tables [env], [reward], [task], [policy] and [damper]."""
     tables: Mapping[str, Any] = field(default_factory=dict)
     """The same as tables by name, in place of those of the file."""
     epoch: int | None = None
@@ -101,7 +101,8 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
         StorageError: if a file cannot be written.
     """
     from coordlog.catalog.asking import catalogued
-    from coordlog.policies.scripted import with_noise
+    from coordlog.config import read_toml
+    from coordlog.policies.scripted import TABLES, with_noise
     from coordlog.record.branches import Branched
     from coordlog.record.recorder import Recorder
     from coordlog.record.spool import sink_at
@@ -111,8 +112,10 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
 
     parents = _parents(plan, monitor)
     numbers = share(range(plan.episodes or (len(parents) if parents else EPISODES)), plan.shard)
-    env = _env(plan, parents, monitor, envs=max(min(plan.envs, len(numbers)), 1))
-    chosen, described = _policy(plan, env)
+    tables = (read_toml(plan.config) if plan.config else {}) | dict(plan.tables)
+    around = {name: table for name, table in tables.items() if name not in TABLES}
+    env = _env(plan, around, parents, monitor, envs=max(min(plan.envs, len(numbers)), 1))
+    chosen, described = _policy(plan, env, tables)
     actor, described["noise"] = with_noise(
         chosen, env, sigma=plan.noise, correlation=plan.noise_correlation
     )
@@ -158,9 +161,15 @@ def _parents(plan: RecordPlan, monitor: Monitor) -> Parents | None:
     )
 
 
-def _env(plan: RecordPlan, parents: Parents | None, monitor: Monitor, *, envs: int) -> BatchEnv:
+def _env(
+    plan: RecordPlan,
+    tables: Mapping[str, Any],
+    parents: Parents | None,
+    monitor: Monitor,
+    *,
+    envs: int,
+) -> BatchEnv:
     """The scene that was asked for, or the policy's, with constants of logs or training."""
-    from coordlog.config import read_toml
     from coordlog.policies.registry import DEFAULT_SCENE, about, policy_file
     from coordlog.sim.making import make_env
     from coordlog.tasks.own import scene_of
@@ -180,7 +189,7 @@ def _env(plan: RecordPlan, parents: Parents | None, monitor: Monitor, *, envs: i
     trained = about(file) if file else {}
     return make_env(
         asked or find(trained.get("scene", DEFAULT_SCENE)),
-        (read_toml(plan.config) if plan.config else {}) | dict(plan.tables),
+        tables,
         start=parents.start if parents else plan.start,
         envs=envs,
         threads=plan.threads,
@@ -189,18 +198,21 @@ def _env(plan: RecordPlan, parents: Parents | None, monitor: Monitor, *, envs: i
     )
 
 
-def _policy(plan: RecordPlan, env: BatchEnv) -> tuple[Policy, Json]:
+def _policy(plan: RecordPlan, env: BatchEnv, tables: Mapping[str, Any]) -> tuple[Policy, Json]:
     """Who acts, and the `coordlog.policy` record without noise."""
-    from coordlog.policies.registry import SHIELD, make_policy
-    from coordlog.policies.scripted import with_shield
+    from coordlog.policies.registry import make_policy
+    from coordlog.policies.scripted import Constants, require_none, shield_said, with_shield
 
+    constants = Constants.of(tables)
     if isinstance(plan.policy, str):
-        return make_policy(plan.policy, env, shield=plan.shield)
+        return make_policy(plan.policy, env, shield=plan.shield, constants=constants)
     name = type(plan.policy).__name__
-    said = {"kind": "own", "name": name, "checkpoint_sha256": ""}
-    if plan.shield:
-        return with_shield(plan.policy, env), said | {"shield": SHIELD}
-    return plan.policy, said
+    require_none(constants, name)
+    said: Json = {"kind": "own", "name": name, "checkpoint_sha256": ""}
+    if not plan.shield:
+        return plan.policy, said
+    shielded = with_shield(plan.policy, env, constants.damper)
+    return shielded, said | shield_said(constants.damper)
 
 
 def _figures(

@@ -6,23 +6,21 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from coordlog.errors import ConfigError, FormatError, SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-    from coordlog.catalog.rows import Job
     from coordlog.episode import Json
     from coordlog.record.cache import Logs
     from coordlog.train.columns import Columns
     from coordlog.train.stream import Group, Stream
 
-Rows = list[dict[str, Any]]
 
 _EPISODES = """
     select digest, path as file, scene, length from episodes where length > 0 order by digest, path
@@ -35,7 +33,7 @@ def listed(
     where: str = "",
     skip_broken: bool = False,
     jobs: int | str = 0,
-    monitor: Monitor,
+    monitor: Monitor | None = None,
 ) -> Logs:
     """The episodes that satisfy a condition, by their catalogues: which there are, and no steps.
 
@@ -46,24 +44,16 @@ def listed(
     """
     import pyarrow as pa
 
-    from coordlog.catalog.gather import gather
+    from coordlog.catalog.asking import gathered
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
     from coordlog.record.files import find_files, nothing_found
     from coordlog.record.recording import Recording
 
-    def run(function: Callable[[Job], Rows], work: Sequence[Job]) -> Iterator[Rows]:
-        total = sum(len(job.entries) for job in work)
-        with monitor.progress("describing new episodes", total) as progress:
-            for rows in mapped(function, work, jobs=jobs):
-                progress.advance(len(rows))
-                yield rows
-
-    found = gather(paths, run=run)
-    for one in found.skipped:
-        if not skip_broken:
-            raise FormatError(f"{one.reason}; --skip-broken learns from the others")
-        monitor.note(f"skipped: {one.reason}")
+    found = gathered(paths, jobs=jobs, monitor=monitor, tell=skip_broken)
+    if found.skipped and not skip_broken:
+        path, reason = found.skipped[0]
+        raise FormatError(f"{path}: {reason}; --skip-broken learns from the others")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows) and where:
         raise ConfigError(f"--where: no episode satisfies: {where}")

@@ -41,7 +41,8 @@ class TrainPlan:
     where: str = ""
     """Which episodes, in SQL."""
     preset: str = ""
-    """default, live, or paper; without a word, live where there are fixed obstacles and no logs."""
+    """default, live, quick, or paper; without a word, live where there are fixed obstacles and no
+    logs."""
     config: Path | None = None
     """TOML file of settings, [env] and [reward]."""
     settings: Sequence[str] | None = None

@@ -22,6 +22,7 @@ from coordlog.catalog.asking import catalogued
 from coordlog.crew import Crew
 from coordlog.monitor import Monitor
 from coordlog.record.files import find_files
+from coordlog.record.places import require_folder
 from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
@@ -125,6 +126,8 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
 
 def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     """Find out whether all parts of a run fit, before anything is written; errors as of `train`."""
+    if plan.out is not None:
+        require_folder(plan.out)
     wanted = constants(plan)
     logs = _logs(plan, monitor) if plan.source else None
     if isinstance(plan.scene, Scene):

@@ -21,7 +21,7 @@ from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record import manifest
 from coordlog.record.addresses import is_elsewhere, size_and_time
-from coordlog.record.files import Skipped, find_files
+from coordlog.record.files import Files, Skipped, find_files, nothing_found
 from coordlog.record.places import Entry, is_url
 from coordlog.record.store import LocalStore
 
@@ -63,9 +63,11 @@ def gather(
 
     Raises:
         StorageError: if a path does not exist.
+        SpecError: if the files were looked at, and none is an episode.
     """
     found, files, lists = Gathered(), list[Path](), list[Path]()
-    for path in map(Path, paths):
+    given = [Path(path) for path in paths]
+    for path in given:
         if manifest.is_manifest(path):
             lists.append(path)
         elif _is_one(path):
@@ -77,7 +79,17 @@ def gather(
         found.sources = _once(found.sources)
     for path in lists:
         _manifest(path, found, scan=scan, run=run)
+    if scan and not lists and not any(map(_is_used, found.sources)):
+        others = tuple(sorted(found.others.items()))
+        raise nothing_found(given, Files((), tuple(found.parts), tuple(found.skipped), others))
     return found
+
+
+def _is_used(source: Source) -> bool:
+    """Whether a source has an episode."""
+    if isinstance(source.rows, Path):
+        return True
+    return bool(source.rows.column("error").null_count)
 
 
 def _is_one(path: Path) -> bool:

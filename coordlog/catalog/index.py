@@ -1,9 +1,10 @@
-"""A catalogue: a row per episode, kept in Parquet files beside the logs, never trusted against them.
+"""A catalogue: a row per episode, kept in Parquet files beside the logs, never trusted against
+them.
 
 The files of a catalogue lie in `.catalog/` of what they describe. Each is written once, whole, and
 named by a number; a later one has the word about a path. Size and mtime of every file decide
-whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged or
-of another edition is described anew. Deleting a catalogue costs only time.
+whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged
+or of another edition is described anew. Deleting a catalogue costs only time.
 """
 
 from __future__ import annotations
@@ -137,7 +138,12 @@ class Catalog:
 
     def parts(self) -> list[str]:
         """Names of the files of the catalogue, oldest first."""
-        names = [entry.name for entry in self._place.entries(FOLDER)]
+        try:
+            names = [entry.name for entry in self._place.entries(FOLDER)]
+        except StorageError:
+            if not isinstance(self._place, Folder):
+                raise
+            return []  # it cannot be read: none is kept, and whoever writes says so
         return sorted(name for name in names if _NAME.match(name.split("/")[-1]))
 
     def refresh(
@@ -264,8 +270,10 @@ class Catalog:
             table = pq.ParquetFile(pa.BufferReader(self._place.read(name))).read()
             about = table.schema.metadata or {}
             edition = about.get(b"coordlog_catalog", b"none").decode()
-            if edition != EDITION or table.schema.names != KEPT.names:
+            if edition != EDITION:
                 raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
+            if table.schema.names != KEPT.names:
+                raise ValueError("it has other columns than its edition")
             return table.cast(KEPT)
         except (pa.ArrowInvalid, OSError, ValueError) as error:
             self._notes.append(

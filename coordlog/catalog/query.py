@@ -136,7 +136,8 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
         require_condition(connection, where)
         whole = f"select * from ({whole}) where ({where}\n)"
     connection.execute(
-        f"create or replace view episodes as select row_number() over () - 1 as row, * from ({whole})"
+        "create or replace view episodes as select row_number() over () - 1 as row, * from "
+        f"({whole})"
     )
 
 

@@ -1,7 +1,7 @@
 """Selections: lists of episodes out of catalogues, edited without touching a file.
 
-Which part of a split an episode belongs to depends on what is split by, a seed and the shares alone:
-more episodes later never move one from one part to another.
+Which part of a split an episode belongs to depends on what is split by, a seed and the shares
+alone: more episodes later never move one from one part to another.
 """
 
 from __future__ import annotations

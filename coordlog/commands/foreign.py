@@ -34,7 +34,8 @@ def record_environment(
 
     if policy in OWN:
         raise ConfigError(
-            f"--policy {policy}: acts in coordlog's scenes alone, from joint angles and goals that {name} does not say; "
+            f"--policy {policy}: acts in coordlog's scenes alone, from joint angles and goals that "
+            f"{name} does not say; "
             "expected random, FILE.py:NAME or a model of stable-baselines3 (.zip) with --env"
         )
     env = _make(name)
@@ -61,7 +62,8 @@ def record_environment(
             raise
         except Exception as error:  # environment and policy are the user's
             raise ConfigError(
-                f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: {error}"
+                f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: "
+                f"{error}"
             ) from error
     seconds = time.perf_counter() - began
     catalogued(out, recorder.files)
@@ -104,5 +106,6 @@ def _make(name: str) -> Any:
             return gymnasium.make(name)
         except Exception as error:  # whatever the environment's own package raises
             raise ConfigError(
-                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: {str(error).splitlines()[0]}"
+                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: "
+                f"{str(error).splitlines()[0]}"
             ) from error

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.options import flag, json_flag
+from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
+from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
     from coordlog.exchange.importing import Imported, Plan, Understood
@@ -23,7 +25,10 @@ def import_(
     source: Annotated[
         list[Path],
         typer.Argument(
-            help="ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, .parquet, .csv."
+            help=(
+                "ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, "
+                ".parquet, .csv."
+            )
         ),
     ],
     out: Annotated[
@@ -85,6 +90,7 @@ def import_(
         ),
     ] = 0.0,
     force: Annotated[bool, flag("--force", "Write episodes that are there again.")] = False,
+    jobs: Jobs = "0",
     as_json: Annotated[bool, json_flag("the report")] = False,
 ) -> None:
     """Turn recordings of other programs into observed episodes: seen, not simulated.
@@ -104,6 +110,7 @@ def import_(
     from coordlog.exchange.importing import Plan
     from coordlog.exchange.joints import JointMap, read_map
     from coordlog.exchange.sources import Reading
+    from coordlog.record.places import require_folder
 
     reading = Reading(
         topic=topic,
@@ -128,7 +135,8 @@ def import_(
         raise ConfigError(
             "--out: expected a folder for the episodes, or --inspect to write nothing"
         )
-    _import(source, out, plan, model, force=force, as_json=as_json)
+    require_folder(out)
+    _import(source, out, plan, model, force=force, jobs=jobs, as_json=as_json)
 
 
 def _listed(text: str) -> tuple[str, ...]:
@@ -185,16 +193,18 @@ def _import(
     model: RobotModel | None,
     *,
     force: bool,
+    jobs: str,
     as_json: bool,
 ) -> None:
     from coordlog.catalog.asking import catalogued
     from coordlog.exchange.importing import import_source
 
     done: list[Imported] = []
+    one = partial(import_source, out=out, plan=plan, robot=model, force=force)
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task("importing", total=len(source), note="")
-        for path in source:
-            done.append(import_source(path, out, plan, model, force=force))
+        for each in mapped(one, source, jobs=jobs):
+            done.append(each)
             bar.update(task, advance=1, note=f"{sum(len(each.paths) for each in done)} episodes")
             if interrupted:
                 break

@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.options import Jobs, flag, json_flag
-from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL
+from coordlog.errors import EXIT_BAD_INPUT, EXIT_CHECK_FAILED, EXIT_PARTIAL, ConfigError
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
@@ -46,10 +46,15 @@ def index(
         coordlog index PACK/ --verify
     """
     from coordlog.catalog.index import Catalog
+    from coordlog.record.files import Files, Skipped, find_files, nothing_found
+    from coordlog.record.places import is_url
 
     reports: list[dict[str, Any]] = []
-    broken, mismatches = 0, 0
+    left_out: list[str] = []
+    mismatches = 0
     for each in path:
+        if each.is_file():
+            raise ConfigError(f"{each}: expected a folder, a pack or an address, got a file")
         catalog = Catalog(each)
         with terminal.progress() as bar:
             task = bar.add_task(f"describing {each}", total=None, note="")
@@ -62,12 +67,16 @@ def index(
                     bar.update(task, advance=len(rows))  # noqa: B023
                     yield rows
 
+            files = Files((), ()) if is_url(each) else find_files(each)
             change = catalog.rebuild(run=run) if rebuild else catalog.refresh(run=run)
         wrong = catalog.verify() if verify else []
         if compact:
             catalog.compact()
         bad = catalog.broken()
-        broken, mismatches = broken + len(bad), mismatches + len(wrong)
+        broken = [Skipped(catalog.store.path(name), why) for name, why in bad]
+        files = files._replace(paths=(), skipped=(*files.skipped, *broken))
+        left_out += files.left_out()
+        mismatches += len(wrong)
         count = catalog.episodes().num_rows
         reports.append(
             {
@@ -75,18 +84,23 @@ def index(
                 "episodes": count,
                 **{name: getattr(change, name) for name in ("new", "changed", "gone")},
                 "broken": dict(bad),
+                "left_out": files.left_out(),
                 "mismatches": [item._asdict() for item in wrong],
             }
         )
         for note in change.notes:
             terminal.note(note)
         if not as_json:
-            _show(catalog.root, count, change, bad, wrong)
+            _show(catalog.root, count, change, files.left_out(), wrong)
+        if not count and not change.gone and not broken:
+            raise nothing_found([each], files)
     if as_json:
         terminal.print_json(reports)
     if mismatches:
         raise typer.Exit(EXIT_CHECK_FAILED)
-    if broken:
+    if left_out and not any(report["episodes"] for report in reports):
+        raise typer.Exit(EXIT_BAD_INPUT)
+    if left_out:
         raise typer.Exit(EXIT_PARTIAL)
 
 
@@ -94,7 +108,7 @@ def _show(
     root: str,
     count: int,
     change: Change,
-    broken: list[tuple[str, str]],
+    left_out: list[str],
     wrong: list[Mismatch],
 ) -> None:
     terminal.out.print(
@@ -110,7 +124,7 @@ def _show(
             highlight=False,
             markup=False,
         )
-    for name, reason in broken[:SAID]:
-        terminal.note(f"skipped: {name}: {reason}")
-    if len(broken) > SAID:
-        terminal.note(f"skipped: {len(broken) - SAID} more; --json names them")
+    for reason in left_out[:SAID]:
+        terminal.note(f"skipped: {reason}")
+    if len(left_out) > SAID:
+        terminal.note(f"skipped: {len(left_out) - SAID} more; --json names them")

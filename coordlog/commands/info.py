@@ -74,15 +74,22 @@ def _show(summary: Summary, *, every: bool) -> None:
         terminal.note(f"{len(summary.rows) - len(shown)} more; --all shows them")
     totals = summary.totals
     if totals.episodes:
-        share = f"success {totals.success / totals.episodes:.1%}, clean {totals.clean / totals.episodes:.1%}, aborted {totals.aborted}"
+        share = (
+            f"success {totals.success / totals.episodes:.1%}, clean "
+            f"{totals.clean / totals.episodes:.1%}, aborted {totals.aborted}"
+        )
         scenes = ", ".join(f"{count} {name}" for name, count in totals.scenes.items())
         size = terminal.megabytes(totals.size)
-        line = f"{totals.episodes} episodes ({scenes}), {totals.steps:,} steps, {totals.duration:,.0f} s simulated, {size}; {share}"
+        line = (
+            f"{totals.episodes} episodes ({scenes}), {totals.steps:,} steps, "
+            f"{totals.duration:,.0f} s simulated, {size}; {share}"
+        )
         terminal.say(line)
     for row in shown:
         if row.parents:
             terminal.say(
-                f"{Path(row.path).name}: {row.transform} of {', '.join(parent[:12] for parent in row.parents)}"
+                f"{Path(row.path).name}: {row.transform} of "
+                f"{', '.join(parent[:12] for parent in row.parents)}"
             )
     _name(summary)
     if len(shown) == 1:

@@ -34,8 +34,9 @@ def pack(
 ) -> None:
     """Put whole episode files into large tar archives that every command reads like a folder.
 
-    Files are not changed, and stay where they are. What the pack has already is not packed again, so
-    the same command goes on where it stopped. Exit code 3 if files could not be used; each is named.
+    Files are not changed, and stay where they are. What the pack has already is not packed again,
+    so the same command goes on where it stopped. Exit code 3 if files could not be used; each is
+    named.
 
     Examples:
 
@@ -106,10 +107,7 @@ def _found(paths: Sequence[Path]) -> tuple[list[tuple[Path, str]], list[str]]:
             raise nothing_found([path], found)
         several = len(paths) > 1
         files += [(each, name_within(each, path, several=several)) for each in found.paths]
-        left_out += [f"skipped: {each}: {reason}" for each, reason in found.skipped]
-        left_out += [
-            f"unfinished: {part}; `coordlog recover` makes an episode of it" for part in found.parts
-        ]
+        left_out += [f"skipped: {each}" for each in found.left_out()]
     return files, left_out
 
 

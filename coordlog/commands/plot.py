@@ -53,7 +53,8 @@ def plot(
     folders = [item for item in path if item.is_dir()]
     if folders and len(folders) < len(path):
         raise ConfigError(
-            f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); plot them apart"
+            f"plot: expected episode files or run folders, got both ({folders[0]} is a folder); "
+            "plot them apart"
         )
     from coordlog.view.joints import figure_path, refuse_figure
 
@@ -76,7 +77,8 @@ def _curves(folders: list[Path], out: Path, *, against: str, force: bool) -> Non
     for folder in folders:
         if not (folder / "run.json").exists():
             raise ConfigError(
-                f"{folder}: expected an episode file or a run folder, got a folder without run.json; name one file or run in it"
+                f"{folder}: expected an episode file or a run folder, got a folder without "
+                "run.json; name one file or run in it"
             )
     from coordlog.api.curves import draw_curves
 
@@ -94,6 +96,7 @@ def _joints(paths: list[Path], out: Path, *, force: bool) -> None:
             "action_joints"
         ) != first.header.env.get("action_joints"):
             raise SpecError(
-                f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot them apart"
+                f"{item}: expected an episode of the same robot as {paths[0]}, got another; plot "
+                "them apart"
             )
     save(joints_figure(first, read_attachments(paths[0]), behind=behind), out, force=force)

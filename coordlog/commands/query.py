@@ -52,7 +52,7 @@ def query(
 
     Examples:
 
-        coordlog query "select scene, count(*), avg(length), avg(clean::int) from episodes group by all"
+        coordlog query "select scene, count(*), avg(clean::int) from episodes group by all"
 
         coordlog query "select path from episodes where not clean order by length" logs/ --json
 

@@ -34,7 +34,8 @@ Policy = Annotated[
     str,
     typer.Option(
         help="expert, random, still, pretrained, or a run folder or policy file, by default "
-        "expert; with --env random, FILE.py:NAME or a model of stable-baselines3, by default random."
+        "expert; with --env random, FILE.py:NAME or a model of stable-baselines3, by default "
+        "random."
     ),
 ]
 Count = Annotated[
@@ -70,7 +71,9 @@ Envs = Annotated[
     int, typer.Option(min=1, help="Simulations at once; changes the speed, never the result.")
 ]
 Threads = Annotated[int, typer.Option(min=0, help="Threads to simulate on; 0 for all cores.")]
-Config = Annotated[Path | None, typer.Option(help="TOML file with tables [env] and [reward].")]
+Config = Annotated[
+    Path | None, typer.Option(help="TOML file with tables [env], [reward], [policy], [damper].")
+]
 Epoch = Annotated[
     int | None,
     typer.Option(min=0, help="Start time [ns since 1970]; equal runs then write equal bytes."),
@@ -134,8 +137,12 @@ def record(
     with terminal.interruptible() as monitor:
         _, figures = record_scene(plan, out, monitor)
     _show(figures, out=out, as_json=as_json)
-    aborted = figures["aborted"]
-    if monitor.stopped:
+    _end(figures["aborted"], interrupted=monitor.stopped)
+
+
+def _end(aborted: int, *, interrupted: bool) -> None:
+    """The exit code of what became of the episodes."""
+    if interrupted:
         said = f"interrupted: {aborted} episodes were closed as aborted; all their steps are kept"
         terminal.note(said)
         raise typer.Exit(EXIT_INTERRUPTED)

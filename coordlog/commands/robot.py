@@ -122,5 +122,8 @@ def show(report: Report, *, title: str) -> None:
     rows += report.facts
     terminal.facts(
         rows,
-        title=f"\n{title}: {'nothing is wrong' if not report.faults else f'{len(report.faults)} faults'}",
+        title=(
+            f"\n{title}: "
+            f"{'nothing is wrong' if not report.faults else f'{len(report.faults)} faults'}"
+        ),
     )

@@ -47,7 +47,10 @@ def scenes(
         terminal.print_json(rows)
         return
     for row in rows:
-        about = f"{row['robot']}, {row['joints']} joints in the action, {row['state']} numbers in the state, arms {', '.join(row['arms'])}"
+        about = (
+            f"{row['robot']}, {row['joints']} joints in the action, {row['state']} numbers in the "
+            f"state, arms {', '.join(row['arms'])}"
+        )
         obstacles = [
             ("obstacle" if i == 0 else "", text) for i, text in enumerate(row["obstacles"])
         ]

@@ -40,7 +40,8 @@ def select(
     jobs: Jobs = "0",
     as_json: Annotated[bool, json_flag("what was selected")] = False,
 ) -> None:
-    """List episodes by the sha256 of their files: drop, merge, divide, relabel without touching one.
+    """List episodes by the sha256 of their files: drop, merge, divide, relabel without touching
+    one.
 
     The manifest goes wherever a folder goes, and NAME.manifest:PART is one part of it. Its hash
     depends on what is in it alone. Exit code 3 if files could not be used, or episodes are gone.

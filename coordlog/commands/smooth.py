@@ -76,10 +76,8 @@ def smooth(
 
         coordlog smooth logs/ --out smoothed/ --cutoff 2 --clearance 0.01 --report report.json
     """
-    from coordlog.catalog.asking import catalogued
+    from coordlog.api.smoothing import smooth_logs
     from coordlog.record.places import require_folder
-    from coordlog.smooth.batch import smooth_logs
-    from coordlog.smooth.report import SKIPPED
 
     require_folder(out)
     settings = {
@@ -89,30 +87,34 @@ def smooth(
         "clearance": clearance,
     }
     if report is not None and report.exists() and not force:
-        raise StorageError(
-            f"{report}: the file exists and is not overwritten; "
-            "choose another name, or pass --force"
-        )
+        said = "the file exists and is not overwritten; choose another name, or pass --force"
+        raise StorageError(f"{report}: {said}")
     how: Json = {"write": not dry_run, "force": force, "share": shard, "processes": jobs}
     with terminal.interruptible() as monitor:
         found = smooth_logs(path, out, settings, **how, monitor=monitor)
-    if not dry_run:
-        catalogued(out, [Path(row["target"]) for row in found["rows"]])
     if report is not None:
         _write_report(report, found)
     if as_json:
         terminal.print_json(found)
     else:
         _show(found, out=None if dry_run else out)
-    if monitor.stopped:
+    _end(found, interrupted=monitor.stopped)
+
+
+def _end(found: Json, *, interrupted: bool) -> None:
+    """The exit code of what became of the episodes."""
+    from coordlog.smooth.report import SKIPPED
+
+    rows = found["rows"]
+    if interrupted:
         terminal.note(
             f"interrupted after {found['episodes']} of {found['wanted']} episodes; "
             "the same command goes on where it stopped"
         )
         raise typer.Exit(EXIT_INTERRUPTED)
-    if found["rows"] and all(row["status"] == SKIPPED for row in found["rows"]):
+    if rows and all(row["status"] == SKIPPED for row in rows):
         raise typer.Exit(EXIT_BAD_INPUT)
-    kept = [row for row in found["rows"] if row["parameters"].get("steps_of", "log") == "log"]
+    kept = [row for row in rows if row["parameters"].get("steps_of", "log") == "log"]
     if found["unfinished"] or found["skipped"] or kept:
         raise typer.Exit(EXIT_PARTIAL)
 

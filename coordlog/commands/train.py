@@ -28,8 +28,8 @@ Where = Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and sc
 Preset = Annotated[
     str,
     typer.Option(
-        help="default, live, or paper: as printed there. Without a word, live where there are "
-        "fixed obstacles and no logs, else default."
+        help="default, live, quick (logs, in a minute), or paper. Without a word, live where "
+        "there are fixed obstacles and no logs, else default."
     ),
 ]
 Config = Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")]

@@ -24,3 +24,5 @@ FORMATS = {
 """Module of each format that can be written; it has `write_block` and `assemble`."""
 WITH_IMAGES = ("lerobot", "lerobot2.1", "robomimic")
 """Formats that can hold what a camera sees."""
+WITH_ARRAYS = ("robomimic",)
+"""Formats that hold images as arrays, and so depth and segmentation too."""

@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 
 from coordlog.episode import Json
 from coordlog.errors import ConfigError, StorageError, unknown
-from coordlog.exchange import FORMATS, WITH_IMAGES
+from coordlog.exchange import FORMATS, WITH_ARRAYS, WITH_IMAGES
 from coordlog.exchange.source import Entry, Loaded, fps_of, task_text
 from coordlog.parallel import mapped
 from coordlog.record.storage import translated
@@ -125,6 +125,12 @@ def export(
     module = format_of(options.to)
     if options.cameras and options.to not in WITH_IMAGES:
         raise ConfigError(f"--to {options.to} holds no images; these do: {', '.join(WITH_IMAGES)}")
+    other = [camera for camera in options.cameras if camera.endswith((":depth", ":segmentation"))]
+    if other and options.to not in WITH_ARRAYS:
+        raise ConfigError(
+            f"--camera {other[0]}: videos hold colours alone; these hold arrays: "
+            f"{', '.join(WITH_ARRAYS)}"
+        )
     if options.storage not in STORAGES:
         raise unknown("storage", options.storage, STORAGES)
     plan = _plan(chosen, options)
@@ -166,17 +172,21 @@ def _plan(chosen: Sequence[Entry], options: Options) -> Json:
     shapes = {json.dumps(entry.header.env["layout"], sort_keys=True) for entry in chosen}
     if len(shapes) > 1 or len({entry.header.arms for entry in chosen}) > 1:
         raise ConfigError(
-            f"episodes of several robots or tasks: expected one, got layouts {', '.join(sorted(shapes))}; choose one with --where"
+            "episodes of several robots or tasks: expected one, got layouts "
+            f"{', '.join(sorted(shapes))}; choose one with --where"
         )
     rates = {fps_of(entry.header) for entry in chosen} if options.to.startswith("lerobot") else ()
     if len(rates) > 1:
         raise ConfigError(
-            f"episodes of several rates: expected one, got {', '.join(f'{rate:g}' for rate in sorted(rates))} Hz; choose one with --where control_period = …, or import them with --resample"
+            "episodes of several rates: expected one, got "
+            f"{', '.join(f'{rate:g}' for rate in sorted(rates))} Hz; choose one with --where "
+            "control_period = …, or import them with --resample"
         )
     empty = [entry.path for entry in chosen if not entry.result.length]
     if empty:
         raise ConfigError(
-            f"{empty[0]}: an episode without a step, which no other format can hold; leave it out with --where 'length > 0'"
+            f"{empty[0]}: an episode without a step, which no other format can hold; leave it out "
+            "with --where 'length > 0'"
         )
     if options.to == "rosbag2":
         _require_own_names(chosen)
@@ -199,7 +209,8 @@ def _require_own_names(chosen: Sequence[Entry]) -> None:
         other = seen.setdefault(entry.path.stem, entry.path)
         if other is not entry.path:
             raise ConfigError(
-                f"{entry.path} and {other} would both become the bag {entry.path.stem}; export them into separate folders"
+                f"{entry.path} and {other} would both become the bag {entry.path.stem}; export "
+                "them into separate folders"
             )
 
 

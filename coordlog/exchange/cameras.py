@@ -1,8 +1,8 @@
 """Cameras after the fact: images of an episode from its log alone.
 
 The episode is simulated again from its first state and its actions. Only where every position and
-velocity comes back bit for bit is it rendered: what a camera shows is what the log proves. Without a
-display, through EGL or OSMesa.
+velocity comes back bit for bit is it rendered: what a camera shows is what the log proves. Without
+a display, through EGL or OSMesa.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from coordlog.sim.replay import Log, exact_here, replay
 
 _FREE = re.compile(r"pos=(?P<pos>[-\d.,e]+)\s+lookat=(?P<lookat>[-\d.,e]+)")
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+KINDS = ("rgb", "depth", "segmentation")
+"""What a camera may show: `NAME` or `NAME:rgb`, `NAME:depth`, `NAME:segmentation`."""
 
 
 def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
-    """The T + 1 states of an episode as images by camera, RGB (height, width, 3) uint8.
+    """The T + 1 states of an episode as images by camera, as `Canvas.shown` gives them.
 
     Raises:
         FormatError: if the log does not come back bit for bit.
@@ -38,7 +40,10 @@ def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
     model = load_attached(loaded.attachments)
     start = np.frombuffer(loaded.attachments.get(INITIAL_STATE, b""), np.float64)
     require_exact(loaded, model, start)
-    views = {camera: view_of(camera, model) for camera in options.cameras}
+    views = {}
+    for camera in options.cameras:
+        name, kind = split(camera)
+        views[camera] = (view_of(name, model), kind)
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, start, STATE)
     with Canvas(model, options.width, options.height) as canvas:
@@ -47,7 +52,7 @@ def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            yield {camera: canvas.shown(data, view) for camera, view in views.items()}
+            yield {camera: canvas.shown(data, *view) for camera, view in views.items()}
 
 
 class Canvas:
@@ -70,6 +75,7 @@ class Canvas:
         self._scene = mujoco.MjvScene(self._model, maxgeom=10_000)
         self._options = mujoco.MjvOption()
         self._image = np.empty((height, width, 3), np.uint8)
+        self._depth = np.empty((height, width), np.float32)
         try:
             if "MUJOCO_GL" in os.environ or any(name in os.environ for name in _DISPLAYS):
                 from mujoco.gl_context import GLContext
@@ -79,13 +85,21 @@ class Canvas:
             self._graphics.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             raise SimulationError(
-                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and libgl1-mesa-dri) or set MUJOCO_GL"
+                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and "
+                "libgl1-mesa-dri) or set MUJOCO_GL"
             ) from error
 
-    def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> Array:
-        """One state through one camera, RGB (height, width, 3) uint8, top row first."""
+    def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera, kind: str = "rgb") -> Array:
+        """One state through one camera, top row first.
+
+        Returns:
+            Of kind "rgb" (height, width, 3) uint8; "depth" (height, width, 1) float32, the distance
+            along the axis of view [m]; "segmentation" (height, width, 1) int32, the geom that is
+            seen by its id, -1 where there is none.
+        """
         mujoco.mjv_updateScene(
             self._model,
             data,
@@ -95,9 +109,34 @@ class Canvas:
             mujoco.mjtCatBit.mjCAT_ALL,
             self._scene,
         )
+        by_id = kind == "segmentation"
+        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
+            self._scene.flags[flag] = by_id
         mujoco.mjr_render(self._area, self._scene, self._context)
+        if kind == "depth":
+            mujoco.mjr_readPixels(None, self._depth, self._area, self._context)
+            return self._metres()[::-1, :, None].copy()
         mujoco.mjr_readPixels(self._image, None, self._area, self._context)
+        if by_id:
+            return self._geoms()[::-1, :, None].copy()
         return self._image[::-1].copy()
+
+    def _metres(self) -> Array:
+        """The depth buffer, 1 at the near plane and 0 at the far one, as distances [m]."""
+        extent, planes = self._model.stat.extent, self._model.vis.map
+        near, far = planes.znear * extent, planes.zfar * extent
+        return np.asarray(
+            near * far / (near + self._depth.astype(float) * (far - near)), np.float32
+        )
+
+    def _geoms(self) -> Array:
+        """Colours that count the things of the scene from 1, as ids of geoms."""
+        ids = np.full(self._scene.ngeom + 1, -1, np.int32)
+        for item in self._scene.geoms[: self._scene.ngeom]:
+            if item.objtype == mujoco.mjtObj.mjOBJ_GEOM and item.segid >= 0:
+                ids[item.segid + 1] = item.objid
+        place = self._image.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        return ids[place]
 
     def __enter__(self) -> Canvas:
         """For `with`."""
@@ -120,7 +159,8 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
     reason = exact_here(episode.header)
     if reason:
         raise FormatError(
-            f"{loaded.path}: {reason}: images are rendered only of states that are proven; use that MuJoCo, or leave --camera away"
+            f"{loaded.path}: {reason}: images are rendered only of states that are proven; use "
+            "that MuJoCo, or leave --camera away"
         )
     trace = replay([Log.of(episode, model, start)])[0]
     for name in ("qpos", "qvel"):
@@ -128,8 +168,15 @@ def require_exact(loaded: Loaded, model: mujoco.MjModel, start: Array) -> None:
         different = np.flatnonzero((logged.view(np.uint64) != again.view(np.uint64)).any(axis=1))
         if len(different):
             raise FormatError(
-                f"{loaded.path}: step {different[0]}: {name} simulated again differs from the log; `coordlog check` says more"
+                f"{loaded.path}: step {different[0]}: {name} simulated again differs from the log; "
+                "`coordlog check` says more"
             )
+
+
+def split(camera: str) -> tuple[str, str]:
+    """A camera's name, and which of `KINDS` it is to show."""
+    name, colon, kind = camera.rpartition(":")
+    return (name, kind) if colon and kind in KINDS else (camera, "rgb")
 
 
 def view_of(camera: str, model: mujoco.MjModel) -> mujoco.MjvCamera:
@@ -150,7 +197,8 @@ def view_of(camera: str, model: mujoco.MjModel) -> mujoco.MjvCamera:
         if known:
             raise unknown("camera", camera, known)
         raise ConfigError(
-            f"unknown camera '{camera}': the model has none; place one with --camera \"pos=1.5,-1,1.2 lookat=0,0,0.8\""
+            f"unknown camera '{camera}': the model has none; place one with --camera "
+            '"pos=1.5,-1,1.2 lookat=0,0,0.8"'
         )
     try:
         place, target = (np.array(found[key].split(","), float) for key in ("pos", "lookat"))

@@ -1,7 +1,7 @@
 """The serialized messages of one topic of a ROS 2 bag, as bytes side by side.
 
-Messages of one length become the rows of one array: an MCAP chunk is cut by its message indexes in a
-few NumPy calls, instead of a Python call per message.
+Messages of one length become the rows of one array: an MCAP chunk is cut by its message indexes in
+a few NumPy calls, instead of a Python call per message.
 
 Source: MCAP specification, mcap.dev/spec; rosbag2_storage_sqlite3.
 """
@@ -115,7 +115,7 @@ def _indexed(file: Path, chunk: bytes, content: memoryview) -> _Part:
 
 
 def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
-    _require_whole(file)
+    require_whole(file)
     try:
         connection = sqlite3.connect(f"file:{file}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error as error:
@@ -136,10 +136,36 @@ def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
     yield np.array([time for time, _ in found], np.int64), groups
 
 
-def _require_whole(file: Path) -> None:
-    """SQLite opens a file that was cut off and gives the rows that are left: look at its size."""
+def require_whole(file: Path) -> None:
+    """Hold an MCAP or sqlite3 file to be there to its end; other files are let through.
+
+    SQLite opens a file that was cut off and gives the rows that are left: look at its size.
+
+    Raises:
+        FormatError: if it is empty, of another kind, or was cut off.
+    """
+    if file.suffix not in (".mcap", ".db3") or not file.is_file():
+        return
     with file.open("rb") as stream:
         head = stream.read(100)
+        stream.seek(max(file.stat().st_size - len(MAGIC), 0))
+        tail = stream.read()
+    if not head:
+        raise FormatError(f"{file}: the file is empty")
+    if file.suffix == ".mcap":
+        if not head.startswith(MAGIC):
+            raise FormatError(f"{file}: expected an MCAP file, got one that begins otherwise")
+        if tail != MAGIC or file.stat().st_size < 2 * len(MAGIC):
+            raise FormatError(
+                f"{file}: ends without MCAP's closing bytes: it was cut off; `mcap recover` mends "
+                "it"
+            )
+        return
+    if not head.startswith(b"SQLite format 3\0"):
+        raise FormatError(
+            f"{file}: expected an sqlite3 file, got one that begins otherwise: another kind, or "
+            "encrypted"
+        )
     page = int.from_bytes(head[16:18], "big")
     wanted = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
     size = file.stat().st_size

@@ -6,6 +6,7 @@ HDF5 can point out of the file, at other files and at objects by reference: such
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def motions(
         FormatError: if the file is damaged, of another layout, or points outside itself.
         ConfigError: if rate or data set must be named and are not.
     """
-    file_path = path / "data" / "main_data.hdf5" if path.is_dir() else path
+    file_path = _minari_file(path) if path.is_dir() else path
     try:
         with h5py.File(file_path, "r") as file:
             require_contained(file, file_path)
@@ -43,28 +44,42 @@ def motions(
             group = file["data"] if robomimic else file
             prefix = "demo_" if robomimic else "episode_"
             episodes = sorted(
-                (name for name in group if name.startswith(prefix)),
+                (name for name in group if name.removeprefix(prefix).isdecimal()),
                 key=lambda name: int(name.removeprefix(prefix)),
             )
             if not episodes:
                 raise FormatError(
-                    f"{file_path}: expected robomimic's data/demo_i or Minari's episode_i, got {', '.join(list(file)[:8]) or 'nothing'}"
+                    f"{file_path}: expected robomimic's data/demo_i or Minari's episode_i, got "
+                    f"{', '.join(list(file)[:8]) or 'nothing'}"
                 )
             hertz = rate or _rate(group)
             if not hertz:
                 raise ConfigError(
-                    f"{file_path}: the file does not say how many samples a second; name it with --rate"
+                    f"{file_path}: the file does not say how many samples a second; name it with "
+                    "--rate"
                 )
             kind = "robomimic" if robomimic else "minari"
             keys = ROBOMIMIC_KEYS if robomimic else MINARI_KEYS
             for name in episodes:
                 yield _motion(path, kind, name, group[name], state, keys, hertz, names)
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
         raise FormatError(f"{file_path}: not an HDF5 file that can be read: {error}") from error
 
 
-def require_contained(group: Any, path: Path) -> None:
-    """Refuse a file that points outside itself, or at objects by reference.
+def _minari_file(path: Path) -> Path:
+    """The HDF5 file of a Minari set, which may also be in Arrow or Parquet."""
+    about = json.loads((path / "data" / "metadata.json").read_text("utf-8"))
+    kind = about.get("data_format", "hdf5") if isinstance(about, dict) else "hdf5"
+    if kind != "hdf5":
+        raise FormatError(
+            f"{path}: expected a Minari set in hdf5, got {kind}; "
+            'make it again with data_format="hdf5"'
+        )
+    return path / "data" / "main_data.hdf5"
+
+
+def require_contained(group: Any, path: Path, seen: frozenset[int] = frozenset()) -> None:
+    """Refuse a file that points outside itself, at objects by reference, or around in a circle.
 
     Raises:
         FormatError: naming the first such place.
@@ -78,12 +93,25 @@ def require_contained(group: Any, path: Path) -> None:
             )
         item = group[name]
         if isinstance(item, h5py.Group):
-            require_contained(item, path)
+            address = h5py.h5o.get_info(item.id).addr
+            if address in seen:
+                raise FormatError(f"{path}: {where}: a group within itself")
+            require_contained(item, path, seen | {address})
         elif isinstance(item, h5py.Dataset):
             if item.is_virtual or item.external:
                 raise FormatError(f"{path}: {where}: its data lies in other files; copy it first")
-            if h5py.check_ref_dtype(item.dtype) is not None:
+            if _refers(item.dtype):
                 raise FormatError(f"{path}: {where}: object references are not followed")
+
+
+def _refers(kind: np.dtype[Any]) -> bool:
+    """Whether entries of this type are, or have within them, references to objects."""
+    if kind.names:
+        return any(_refers(kind[name]) for name in kind.names)
+    inner = h5py.check_vlen_dtype(kind)
+    if isinstance(inner, np.dtype):
+        return _refers(inner)
+    return h5py.check_ref_dtype(kind) is not None
 
 
 def _motion(
@@ -96,12 +124,15 @@ def _motion(
     rate: float,
     names: tuple[str, ...],
 ) -> Motion:
+    if not isinstance(episode, h5py.Group):
+        raise FormatError(f"{path}: {name}: expected a group of data sets, got {episode.dtype}")
     key = state or next((each for each in keys if isinstance(episode.get(each), h5py.Dataset)), "")
     item = episode.get(key) if key else None
     if not isinstance(item, h5py.Dataset) or item.ndim != 2 or item.dtype.kind != "f":
         had = ", ".join(_matrices(episode))
         raise ConfigError(
-            f"{path}: {name}: expected joint positions in '{key or keys[0]}'; choose one with --state: {had or 'there is none'}"
+            f"{path}: {name}: expected joint positions in '{key or keys[0]}'; choose one with "
+            f"--state: {had or 'there is none'}"
         )
     position = np.asarray(item[()], np.float64)
     notes: tuple[str, ...] = (f"stamps are the row number over {rate:g} Hz",)
@@ -140,6 +171,7 @@ def _rate(group: Any) -> float:
     """Control frequency that robosuite writes into robomimic's env_args."""
     try:
         args = json.loads(group.attrs["env_args"])
-        return float(args["env_kwargs"]["control_freq"])
+        rate = float(args["env_kwargs"]["control_freq"])
+        return rate if 0 < rate < math.inf else 0.0
     except (KeyError, TypeError, ValueError):
         return 0.0

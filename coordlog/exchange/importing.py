@@ -24,12 +24,16 @@ from coordlog.exchange.joints import (
     joints_of,
     mapped,
     require_known,
+    require_named,
 )
 from coordlog.exchange.motion import Motion, prepared
 from coordlog.exchange.observed import attachments, observe
 from coordlog.exchange.robot_model import RobotModel
 from coordlog.exchange.sources import Reading, digest_of, kind_of, motions
 from coordlog.record.writer import write_episode
+
+BLOCK = 1000
+"""Steps of a chunk: many, for all of them are there before the first is written."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +103,12 @@ def understood(path: Path, plan: Plan, robot: RobotModel | None) -> Iterator[Und
         FormatError: if the source cannot be used, naming the place.
         ConfigError: if something must be said that is not.
     """
+    _require_meant(path, plan)
     starts = _starts(path, plan)
     known = {} if robot is None else joints_of(robot.model)
     for found in motions(path, plan.reading):
         given = found.names
+        require_named(found)
         motion = mapped(found, plan.joints)
         if robot is not None:
             require_known(motion, known)
@@ -154,7 +160,11 @@ def import_source(
     ]
     kept = [piece for piece in pieces if len(piece.motion) > 1]
     if not kept:
-        raise FormatError(f"{path}: expected at least two samples in a row, got none")
+        raise FormatError(
+            f"{path}: expected two samples of different stamps in a row, got {len(pieces)} by "
+            "themselves"
+            + "".join(f"; {note}" for piece in pieces[:1] for note in piece.motion.notes)
+        )
     out.mkdir(parents=True, exist_ok=True)
     paths, present = [], 0
     for index, piece in enumerate(kept):
@@ -167,9 +177,35 @@ def import_source(
         target.with_name(target.name + ".part").unlink(missing_ok=True)
         parameters = _parameters(piece, plan, robot)
         episode = observe(piece.motion, robot, digest=digest, index=index, parameters=parameters)
-        write_episode(target, episode, attachments=attachments(episode, robot), display=True)
+        write_episode(
+            target, episode, attachments=attachments(episode, robot), display=True, block=BLOCK
+        )
     steps = sum(len(piece.motion) - 1 for piece in kept)
     return Imported(path, tuple(paths), steps, tuple(kept), tuple(left_out), present)
+
+
+_MEANT = {
+    "topic": ("rosbag2", "mcap"),
+    "stamps": ("rosbag2",),
+    "state": ("lerobot", "robomimic", "minari"),
+    "action": ("lerobot",),
+    "columns": ("parquet", "csv"),
+    "clock": ("parquet", "csv"),
+    "names": ("mcap", "robomimic", "minari"),
+    "names_field": ("mcap",),
+    "position_field": ("mcap",),
+    "rate": ("robomimic", "minari", "parquet", "csv"),
+}
+"""Kinds of sources that each way of reading means something for."""
+
+
+def _require_meant(path: Path, plan: Plan) -> None:
+    """Hold what was said about reading to mean something for this source."""
+    kind = kind_of(path)
+    for name, kinds in _MEANT.items():
+        if getattr(plan.reading, name) and kind not in kinds:
+            option = "--" + name.replace("_", "-")
+            raise ConfigError(f"{path}: {option} is for {', '.join(kinds)}; this is {kind}")
 
 
 def _starts(path: Path, plan: Plan) -> Array | None:

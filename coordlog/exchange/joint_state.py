@@ -18,6 +18,8 @@ from coordlog.exchange.frames import Frames
 from coordlog.exchange.motion import NS
 
 _LITTLE_ENDIAN = (0, 1)
+_ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)
+"""How a Zstandard frame begins."""
 
 
 class JointStates(NamedTuple):
@@ -46,6 +48,11 @@ def decode(frames: Frames, where: str) -> JointStates:
     position = velocity = np.zeros((0, 0))
     moving = True
     for places, data in sorted(frames.groups, key=lambda group: int(group[0].min())):
+        if (data[:, :4] == _ZSTD).all():
+            raise FormatError(
+                f"{where}: expected messages as they are, got each compressed by itself: `ros2 "
+                "bag convert` the bag without compression_mode first"
+            )
         if data.shape[1] < 16 or (data[:, :2] != _LITTLE_ENDIAN).any():
             raise FormatError(
                 f"{where}: message {places[0]}: expected a JointState in little-endian CDR"
@@ -61,7 +68,12 @@ def decode(frames: Frames, where: str) -> JointStates:
             columns = _columns(part, end, f"{where}: message {at[0]}")
             if columns[0].shape[1] != len(own):
                 raise FormatError(
-                    f"{where}: message {at[0]}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
+                    f"{where}: message {at[0]}: expected a position for each of {len(own)} "
+                    f"joints, got {columns[0].shape[1]}"
+                )
+            if not own:
+                raise FormatError(
+                    f"{where}: message {at[0]}: expected joints, got not a single one"
                 )
             to = _places_among(own, names, order, f"{where}: message {at[0]}")
             position[at[:, None], to] = columns[0]
@@ -102,7 +114,7 @@ def _ordered(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array
         where = f"{topic}: message {at[first[i]]}"
         own, own_end = _names(bytes(start) + row.tobytes(), start, where)
         if set(own) != set(names) or own_end != end:
-            _refuse(set(own) ^ set(names), where)
+            _refuse(own, names, where)
         table[i] = [place[name] for name in own]
     return names, table[inverse], end
 
@@ -124,12 +136,14 @@ def _columns(data: Array, at: int, where: str) -> list[Array]:
     """Position, velocity and effort of messages laid out alike."""
     columns = []
     for _ in range(3):
+        if at + 4 > data.shape[1]:
+            raise FormatError(f"{where}: a JointState that was cut off")
         counts = np.ascontiguousarray(data[:, at : at + 4]).view("<u4")
-        size = int(counts[0, 0]) if counts.size else -1
+        size = int(counts[0, 0])
         at += 4
         if size > 0:
             at += -(at - 4) % 8  # doubles are aligned to 8 bytes after the encapsulation
-        if size < 0 or (counts != size).any() or at + 8 * size > data.shape[1]:
+        if (counts != size).any() or at + 8 * size > data.shape[1]:
             raise FormatError(f"{where}: a JointState whose lengths do not add up")
         cut = np.ascontiguousarray(data[:, at : at + 8 * size])
         columns.append(cut.view("<f8") if size else np.zeros((len(data), 0)))
@@ -140,13 +154,17 @@ def _columns(data: Array, at: int, where: str) -> list[Array]:
 def _places_among(own: tuple[str, ...], names: tuple[str, ...], order: Array, where: str) -> Array:
     """Each row's joints as places among those of the first message of all."""
     if set(own) != set(names) or len(own) != len(names):
-        _refuse(set(own) ^ set(names), where)
+        _refuse(own, names, where)
     return np.array([names.index(name) for name in own], np.int64)[order]
 
 
-def _refuse(others: set[str], where: str) -> None:
+def _refuse(own: tuple[str, ...], names: tuple[str, ...], where: str) -> None:
+    lost, new = sorted(set(names) - set(own)), sorted(set(own) - set(names))
+    parts = [f"without {', '.join(lost)}"] * bool(lost) + [f"with {', '.join(new)}"] * bool(new)
     raise FormatError(
-        f"{where}: expected the joints of the first message, got others: {', '.join(sorted(others))}; several publishers share the topic"
+        f"{where}: expected the joints of the first message, got a message "
+        f"{' and '.join(parts) or 'of other counts'}: the names changed, or several publishers "
+        "share the topic; record each on a topic of its own"
     )
 
 

@@ -112,6 +112,19 @@ def mapped(motion: Motion, given: JointMap) -> Motion:
     )
 
 
+def require_named(motion: Motion) -> None:
+    """Hold every joint of a motion to have a name of its own.
+
+    Raises:
+        FormatError: naming the first that has none, or another's.
+    """
+    for i, name in enumerate(motion.names):
+        if not name:
+            raise FormatError(f"{motion}: joint {i}: expected a name, got none")
+        if name in motion.names[:i]:
+            raise FormatError(f"{motion}: expected each joint once, got {name} twice")
+
+
 def require_known(motion: Motion, joints: Mapping[str, Joint]) -> None:
     """Hold every joint of a motion to be one of the model, each once.
 
@@ -126,7 +139,8 @@ def require_known(motion: Motion, joints: Mapping[str, Joint]) -> None:
         said = "; ".join(f"{name}{_nearest(name, list(joints))}" for name in lost[:8])
         more = f" and {len(lost) - 8} more" if len(lost) > 8 else ""
         raise FormatError(
-            f"{motion}: {len(lost)} of {len(motion.names)} joints are none of the model: {said}{more}; name them in --joints MAP.toml"
+            f"{motion}: {len(lost)} of {len(motion.names)} joints are none of the model: "
+            f"{said}{more}; name them in --joints MAP.toml"
         )
 
 
@@ -163,10 +177,12 @@ def doubts(motion: Motion, joints: Mapping[str, Joint]) -> list[str]:
     if large and fits and (len(outside) > len(angles) / 2 or joints == {}):
         worst = max(large, key=lambda i: reach[i])
         return [
-            f"{motion.names[worst]} reaches {reach[worst]:.4g}: degrees are suspected; --degrees turns them into radians"
+            f"{motion.names[worst]} reaches {reach[worst]:.4g}: degrees are suspected; --degrees "
+            "turns them into radians"
         ]
     return [
-        f"{motion.names[i]} goes from {low[i]:.4g} to {high[i]:.4g}, outside the model's {known[i].low:.4g} to {known[i].high:.4g}"  # type: ignore[union-attr]
+        f"{motion.names[i]} goes from {low[i]:.4g} to {high[i]:.4g}, "
+        f"outside the model's {known[i].low:.4g} to {known[i].high:.4g}"  # type: ignore[union-attr]
         for i in outside
     ]
 

@@ -82,7 +82,10 @@ def _by_number(chosen: Sequence[Entry], source: Path, digest: str) -> dict[int, 
         origin = entry.header.episode.get("source", {})
         if origin.get("sha256") != digest:
             raise ConfigError(
-                f"{entry.path}: expected an episode imported from {source} (sha256 {digest[:12]}), got one from {origin.get('name', 'a simulation')} ({str(origin.get('sha256', ''))[:12] or 'no source'}); --like wants the very set it came from"
+                f"{entry.path}: expected an episode imported from {source} (sha256 {digest[:12]}), "
+                f"got one from {origin.get('name', 'a simulation')} "
+                f"({str(origin.get('sha256', ''))[:12] or 'no source'}); --like wants the very set "
+                "it came from"
             )
         found.setdefault(int(origin["episode"]), []).append(entry)
     return found

@@ -10,6 +10,7 @@ Source: lerobot 0.6.1, datasets/.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ import pyarrow.parquet as pq
 from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.motion import NS, Motion
+from coordlog.exchange.parquet_source import is_list
 
 VERSIONS = ("v3.0", "v2.1", "v2.0")
 STATE, ACTION = "observation.state", "action"
@@ -89,6 +91,11 @@ def read_info(path: Path) -> Json:
         raise FormatError(
             f"{file}: expected version {', '.join(VERSIONS)}, got {info['codebase_version']}"
         )
+    features = info["features"]
+    if not isinstance(features, dict) or not all(
+        isinstance(each, dict) for each in features.values()
+    ):
+        raise FormatError(f"{file}: features: expected a table of tables, got {features!s:.40}")
     if not isinstance(info["fps"], int | float) or not info["fps"] > 0:
         raise FormatError(f"{file}: fps: expected a positive number, got {info['fps']!r}")
     return dict(info)
@@ -104,14 +111,15 @@ def joint_names(path: Path, info: Json, key: str) -> tuple[str, ...]:
     vectors = [
         name
         for name, each in info["features"].items()
-        if each.get("dtype", "").startswith("float") and len(each.get("shape", ())) == 1
+        if str(each.get("dtype", "")).startswith("float") and _width(each)
     ]
     if feature is None or key not in vectors:
         raise ConfigError(
-            f"{path}: expected joint positions in '{key}', got no such feature; choose one with --state: {', '.join(vectors)}"
+            f"{path}: expected joint positions in '{key}', got no such feature; choose one with "
+            f"--state: {', '.join(vectors)}"
         )
     names = _names(feature)
-    return names or tuple(f"{key}_{i}" for i in range(feature["shape"][0]))
+    return names or tuple(f"{key}_{i}" for i in range(_width(feature)))
 
 
 def episodes(path: Path, info: Json) -> Iterator[Rows]:
@@ -125,7 +133,8 @@ def episodes(path: Path, info: Json) -> Iterator[Rows]:
     for rows in found:
         if rows.episode != count:
             raise FormatError(
-                f"{path}: expected episode {count}, got {rows.episode}: the set has a gap, and every later episode would be taken for another; mend it with LeRobot's own tools"
+                f"{path}: expected episode {count}, got {rows.episode}: the set has a gap, and "
+                "every later episode would be taken for another; mend it with LeRobot's own tools"
             )
         count += 1
         yield rows
@@ -142,11 +151,12 @@ def _v3(path: Path, info: Json) -> Iterator[Rows]:
     for file in files:
         names = ["episode_index", "length", "tasks", "data/chunk_index", "data/file_index"]
         for row in _table(file, names).to_pylist():
-            place = {
-                "chunk_index": row["data/chunk_index"],
-                "file_index": row["data/file_index"],
-            }
-            data = path / str(info["data_path"]).format(**place)
+            data = _data_file(
+                path,
+                info,
+                chunk_index=row["data/chunk_index"],
+                file_index=row["data/file_index"],
+            )
             task = (row["tasks"] or [""])[0]
             yield Rows(row["episode_index"], row["length"], data, task)
 
@@ -163,12 +173,22 @@ def _v2(path: Path, info: Json) -> Iterator[Rows]:
             index, length = int(row["episode_index"]), int(row["length"])
         except (ValueError, KeyError, TypeError) as error:
             raise FormatError(f"{file}: line {number}: {error}") from error
-        place = {
-            "episode_chunk": index // int(info.get("chunks_size", 1000)),
-            "episode_index": index,
-        }
-        data = path / str(info["data_path"]).format(**place)
+        chunk = index // int(info.get("chunks_size", 1000))
+        data = _data_file(path, info, episode_chunk=chunk, episode_index=index)
         yield Rows(index, length, data, (row.get("tasks") or [""])[0])
+
+
+def _data_file(path: Path, info: Json, **place: int | None) -> Path:
+    """The file of an episode's rows, below the set's folder."""
+    try:
+        file = path / str(info["data_path"]).format(**place)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise FormatError(
+            f"{path}: data_path: expected a pattern for {place}, got '{info['data_path']}'"
+        ) from error
+    if not file.resolve().is_relative_to(path.resolve()):
+        raise FormatError(f"{path}: data_path: expected files within the set, got {file}")
+    return file
 
 
 def _motion(
@@ -226,8 +246,10 @@ def _matrix(column: pa.ChunkedArray, width: int, file: Path) -> Array:
     flat = column.combine_chunks()
     if isinstance(flat, pa.ChunkedArray):
         flat = flat.chunk(0) if flat.num_chunks else pa.array([], column.type)
-    if not (pa.types.is_list(flat.type) or pa.types.is_fixed_size_list(flat.type)):
+    if not is_list(flat.type):
         return np.asarray(flat.to_numpy(zero_copy_only=False), np.float64).reshape(-1, 1)
+    while is_list(flat.type.value_type):  # (n, 1) as lists of lists
+        flat = pa.ListArray.from_arrays(flat.offsets, flat.values.flatten()) if len(flat) else flat
     values = flat.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
     if len(values) != len(flat) * width:
         raise FormatError(
@@ -243,21 +265,39 @@ def _table(file: Path, columns: Sequence[str]) -> pa.Table:
         return pq.read_table(file, columns=[*columns, *indexes])
     except FileNotFoundError as error:
         raise FormatError(
-            f"{file}: missing, though the set's metadata names it; download the whole set first, nothing is fetched from here"
+            f"{file}: missing, though the set's metadata names it; download the whole set first, "
+            "nothing is fetched from here"
         ) from error
     except (pa.ArrowException, OSError, KeyError) as error:
         raise FormatError(f"{file}: {str(error).splitlines()[0]}") from error
 
 
 def _names(feature: Any) -> tuple[str, ...]:
-    """LeRobot's `names` as a flat list, whichever of its shapes they have."""
+    """LeRobot's `names` as a flat list, whichever of its shapes they have.
+
+    A list; lists in a list; or a dict of lists (`{"motors": [...]}`) or of places.
+    """
     names = feature.get("names")
-    while isinstance(names, dict):
-        names = next(iter(names.values()), None)
-    if isinstance(names, list) and names and isinstance(names[0], list):
-        names = names[0]
-    width = feature.get("shape", [0])[0]
-    return tuple(map(str, names)) if isinstance(names, list) and len(names) == width else ()
+    if isinstance(names, dict) and all(isinstance(each, int) for each in names.values()):
+        names = sorted(names, key=names.__getitem__)
+    found = tuple(map(str, _leaves(names)))
+    return found if len(found) == _width(feature) and len(set(found)) == len(found) else ()
+
+
+def _leaves(names: Any) -> list[Any]:
+    if isinstance(names, dict):
+        names = list(names.values())
+    if isinstance(names, list):
+        return [leaf for each in names for leaf in _leaves(each)]
+    return [] if names is None else [names]
+
+
+def _width(feature: Any) -> int:
+    """Entries of a vector, also one of shape (n, 1) or (1, n); 0 if it is none."""
+    shape = feature.get("shape")
+    if not isinstance(shape, list | tuple) or not all(isinstance(n, int) for n in shape):
+        return 0
+    return math.prod(shape) if sum(n != 1 for n in shape) <= 1 and shape else 0
 
 
 def _videos(info: Json) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from coordlog.errors import ConfigError, FormatError
+from coordlog.exchange.frames import require_whole
 from coordlog.exchange.motion import Motion
 
 ENCODINGS = ("json", "protobuf")
@@ -61,15 +62,20 @@ def motions(
                 known = known or own
                 if sorted(own) != sorted(known) or len(numbers) != len(own):
                     raise FormatError(
-                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of {', '.join(own)}"
+                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of "
+                        f"{', '.join(own)}"
                     )
                 found = dict(zip(own, numbers, strict=True))
                 rows.append([float(found[name]) for name in known])
                 stamps.append(message.log_time)
         except (McapError, OSError, EOFError) as error:
             raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
-        except (TypeError, ValueError) as error:
-            raise FormatError(f"{path}: message {len(rows)}: {error}") from error
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            raise FormatError(f"{path}: message {len(rows)}: expected JSON: {error}") from error
+        except (TypeError, ValueError, KeyError, AttributeError) as error:
+            raise FormatError(
+                f"{path}: message {len(rows)}: expected numbers as positions: {error}"
+            ) from error
     yield Motion(
         path,
         "mcap",
@@ -83,7 +89,12 @@ def motions(
 
 
 def is_ros2(path: Path) -> bool:
-    """Whether the messages of an MCAP file are CDR, which rosbags reads."""
+    """Whether the messages of an MCAP file are CDR, which rosbags reads.
+
+    Raises:
+        FormatError: if it cannot be read.
+    """
+    require_whole(path)
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
@@ -92,6 +103,11 @@ def is_ros2(path: Path) -> bool:
     kinds = (
         {channel.message_encoding for channel in summary.channels.values()} if summary else set()
     )
+    if kinds and not kinds & {"cdr", *ENCODINGS}:
+        raise FormatError(
+            f"{path}: expected messages in cdr (ROS 2), {' or '.join(ENCODINGS)}, got "
+            f"{', '.join(sorted(kinds))}"
+        )
     return not kinds & set(ENCODINGS)
 
 
@@ -114,17 +130,26 @@ def _decoder(path: Path, schema: Any, encoding: str) -> Callable[[bytes], Any]:
     if encoding == "json":
         return lambda data: json.loads(data)
     from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+    from google.protobuf.message import DecodeError
 
+    if schema is None:
+        raise FormatError(f"{path}: a protobuf topic without its schema: cannot be decoded")
     files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:
         pool.Add(file)
     kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    return lambda data: json_format.MessageToDict(
-        kind.FromString(data),
-        preserving_proto_field_name=True,
-        always_print_fields_with_no_presence=True,
-    )
+
+    def decoded(data: bytes) -> Any:
+        try:
+            message = kind.FromString(data)
+        except DecodeError as error:
+            raise ValueError(f"expected a {schema.name}, got other bytes ({error})") from error
+        return json_format.MessageToDict(
+            message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+        )
+
+    return decoded
 
 
 def _guess(where: str, value: Any, fixed: tuple[str, ...]) -> tuple[str, str]:

@@ -14,11 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from coordlog.episode import Array, Json
-from coordlog.errors import FormatError
+from coordlog.errors import ConfigError, FormatError
 
 NS = 1_000_000_000
 GAP = 3.0
 """Median periods that pass without a sample before it is called a gap."""
+MOST_SAMPLES = 1000
+"""Samples that resampling may make of one: more is a wrong rate, not a wish."""
 
 
 @dataclass(frozen=True)
@@ -147,14 +149,18 @@ def require_usable(motion: Motion) -> None:
     if len(bad):
         row, joint = bad[0].tolist()
         raise FormatError(
-            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got {motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} samples are unusable: mend the source first"
+            f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got "
+            f"{motion.position[row, joint]}; {len({int(i) for i in bad[:, 0]})} of {len(motion)} "
+            "samples are unusable: mend the source first"
         )
     back = motion.timing.backwards
     if back:
         at = back[0]
+        other = "--stamps chooses another clock, " if motion.format == "rosbag2" else ""
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
-            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s ({motion.clock or 'its clock'}); --stamps chooses another clock, --split-clock begins an episode there"
+            f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "
+            f"({motion.clock or 'its clock'}); {other}--split-clock begins an episode there"
         )
 
 
@@ -198,8 +204,17 @@ def prepared(
 
 
 def resampled(motion: Motion, rate: float) -> Motion:
-    """The motion at even times, by straight lines between its samples; said in its notes."""
+    """The motion at even times, by straight lines between its samples; said in its notes.
+
+    Raises:
+        ConfigError: if there would be far more samples than there are.
+    """
     period = NS / rate
+    if (motion.stamps[-1] - motion.stamps[0]) / period > MOST_SAMPLES * len(motion):
+        raise ConfigError(
+            f"--resample {rate:g}: more than {MOST_SAMPLES} samples for each of the {len(motion)} "
+            f"in {motion}; choose fewer a second"
+        )
     count = int((motion.stamps[-1] - motion.stamps[0]) / period + 1e-9) + 1
     stamps = motion.stamps[0] + np.rint(np.arange(count) * period).astype(np.int64)
     here, there = (motion.stamps - motion.stamps[0]) / NS, (stamps - stamps[0]) / NS

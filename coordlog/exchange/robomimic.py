@@ -85,7 +85,8 @@ def _datasets(loaded: Loaded, options: Options) -> dict[str, Array]:
     if options.cameras:
         images = list(cameras.frames(loaded, options))
         for camera in options.cameras:
-            key = f"{cameras.label(camera)}_image"
+            shown = cameras.split(camera)[1]
+            key = f"{cameras.label(camera)}_image" if shown == "rgb" else cameras.label(camera)
             observed[key] = np.stack([each[camera] for each in images])
     for name, values in observed.items():
         found[f"obs/{name}"], found[f"next_obs/{name}"] = values[:-1], values[1:]

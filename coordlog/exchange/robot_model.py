@@ -74,7 +74,8 @@ def read_model(given: str) -> RobotModel:
         name, source = robot.name, _with_hands(whole(robot))
     else:
         raise ConfigError(
-            f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: {', '.join(sorted(SCENES))}"
+            f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: "
+            f"{', '.join(sorted(SCENES))}"
         )
     attachments = pack_source(source)
     try:

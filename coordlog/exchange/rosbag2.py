@@ -1,38 +1,46 @@
 """ROS 2 bags: a folder `NAME/` per episode with its messages and `metadata.yaml` (version 9).
 
 A log becomes a bag as it is: the file's bytes, attachments and all, under the profile `ros2`, and
-its metadata. Where something is added or sqlite3 is asked for, messages are copied byte for byte
-with their log times, and what is no message stays in the log: a smoothed episode also has its path
-as one `trajectory_msgs/msg/JointTrajectory` on `/joint_trajectory`, the spline's break points with
-their velocities, its stamp zero, which controllers read as "start now". The episode's origin is in
-`custom_data`.
+its metadata. In sqlite3 its messages are copied byte for byte with their log times, and what is no
+message stays in the log. A smoothed episode also has its path as one
+`trajectory_msgs/msg/JointTrajectory` on `/joint_trajectory`, in a file of its own before the log's:
+the spline's break points with their velocities, its stamp zero, which controllers read as "start
+now". The episode's origin is in `custom_data`.
 
-Source: rosbags 0.11.9, rosbag2/writer.py; trajectory_msgs of ROS 2.
+Source: rosbags 0.11.9, rosbag2/; trajectory_msgs of ROS 2.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
+import sqlite3
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from contextlib import closing
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Header, Statistics
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from mcap.records import Header
+from mcap.writer import Writer as McapWriter
 
 from coordlog.episode import Json
 from coordlog.episode import Path as JointPath
 from coordlog.exchange.blocks import Block, Options
+from coordlog.exchange.rosbag2_metadata import (
+    File,
+    Topic,
+    definition,
+    hash_of,
+    metadata,
+    ros2,
+    summarized,
+)
 from coordlog.exchange.source import Loaded
 from coordlog.record.chunk import definitions, expand
 from coordlog.record.opening import summary_start
@@ -40,13 +48,31 @@ from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, pack, unpack_def
 
 TRAJECTORY_TOPIC = "/joint_trajectory"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-VERSION: Literal[9] = 9
 PROFILE = "ros2"
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 _PREFIX = 22
 """Bytes of an MCAP message before its payload."""
 _NS = 1_000_000_000
+
+
+_TABLES = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(
+  id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(
+  id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+  serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,
+  type_description_hash TEXT NOT NULL);
+CREATE TABLE messagedefinitions(
+  id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+  encoded_messagedefinition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(
+  id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+  data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema VALUES (4, 'coordlog');
+"""
+"""Tables of rosbag2's sqlite3 storage, schema 4."""
 
 
 class Message(NamedTuple):
@@ -79,35 +105,69 @@ def write_bag(loaded: Loaded, target: Path, *, storage: str = "mcap") -> None:
         target: Folder of the bag; must not exist.
         storage: mcap or sqlite3.
     """
-    data = loaded.data
-    if storage == "mcap" and loaded.episode.path is None:
-        target.mkdir(parents=True)
-        name = f"{target.name}.mcap"
-        (target / name).write_bytes(_under_profile(data))
-        (target / "metadata.yaml").write_text(_metadata(data, name, loaded.named()), "utf-8")
+    target.mkdir(parents=True)
+    episode = loaded.episode
+    start = int(episode.header.episode["start_time"])
+    moves = b"" if episode.path is None else trajectory(episode.path, _joints(loaded))
+    if storage == "sqlite3":
+        files = [_sqlite3(loaded.data, target / f"{target.name}.db3", moves, start)]
     else:
-        _rewrite(loaded, data, target, STORAGES[storage])
+        path = target / f"{target.name}.mcap"
+        path.write_bytes(_under_profile(loaded.data))
+        files = [summarized(loaded.data, path.name)]
+        if moves:
+            files.insert(0, _trajectory_file(target, moves, start))
+    (target / "metadata.yaml").write_text(metadata(files, storage, loaded.named()), "utf-8")
 
 
-def _rewrite(loaded: Loaded, data: bytes, target: Path, plugin: StoragePlugin) -> None:
-    """Copy the messages of a log into a new bag, and add the trajectory of its path."""
+def _joints(loaded: Loaded) -> Sequence[str]:
+    return list(loaded.episode.header.env["action_joints"])
+
+
+def _sqlite3(data: bytes, path: Path, moves: bytes, start: int) -> File:
+    """Copy the messages of a log into a database, and add the trajectory of its path."""
     schemas, messages = _messages(data)
-    with Writer(target, version=VERSION, storage_plugin=plugin) as bag:
-        for key, value in loaded.named().items():
-            text = value if isinstance(value, str) else json.dumps(value)
-            bag.set_custom_data(key, text)
-        connections = {}
-        for topic, (kind, text) in schemas.items():
-            types = types_of(kind, text)
-            connections[topic] = bag.add_connection(topic, kind, typestore=types)
-        path = loaded.episode.path
-        if path is not None and TRAJECTORY_TOPIC not in connections:
-            names = loaded.episode.header.env["action_joints"]
-            channel = bag.add_connection(TRAJECTORY_TOPIC, TRAJECTORY, typestore=ros2())
-            start = int(loaded.episode.header.episode["start_time"])
-            bag.write(channel, start, trajectory(path, names))
-        for message in messages:
-            bag.write(connections[message.topic], message.time, message.data)
+    found = list(messages)
+    if moves:
+        schemas[TRAJECTORY_TOPIC] = (TRAJECTORY, definition(TRAJECTORY))
+        found.insert(0, Message(TRAJECTORY_TOPIC, start, moves))
+    numbers = {topic: i for i, topic in enumerate(schemas, 1)}
+    kinds = sorted(set(schemas.values()))
+    with closing(sqlite3.connect(path)) as bag:
+        bag.executescript(f"PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; {_TABLES}")
+        bag.executemany(
+            "INSERT INTO messagedefinitions VALUES (NULL, ?, 'ros2msg', ?, ?)",
+            [(kind, text, hash_of(kind, text)) for kind, text in kinds],
+        )
+        bag.executemany(
+            "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '[]', ?)",
+            [
+                (numbers[name], name, kind, hash_of(kind, text))
+                for name, (kind, text) in schemas.items()
+            ],
+        )
+        bag.executemany(
+            "INSERT INTO messages VALUES (NULL, ?, ?, ?)",
+            [(numbers[message.topic], message.time, message.data) for message in found],
+        )
+        bag.commit()
+    counts = Counter(message.topic for message in found)
+    topics = tuple(Topic(name, *schemas[name], counts[name]) for name in schemas)
+    return File(path.name, found[0].time, found[-1].time, topics)
+
+
+def _trajectory_file(target: Path, moves: bytes, start: int) -> File:
+    """The trajectory in a file of its own, before the log's in the bag: the log stays as it is."""
+    name = f"{target.name}_trajectory.mcap"
+    text = definition(TRAJECTORY)
+    with (target / name).open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile=PROFILE, library="coordlog")
+        schema = writer.register_schema(TRAJECTORY, "ros2msg", text.encode())
+        channel = writer.register_channel(TRAJECTORY_TOPIC, "cdr", schema)
+        writer.add_message(channel, start, moves, start)
+        writer.finish()
+    return File(name, start, start, (Topic(TRAJECTORY_TOPIC, TRAJECTORY, text, 1),))
 
 
 def _under_profile(data: bytes) -> bytes:
@@ -129,78 +189,6 @@ def _under_profile(data: bytes) -> bytes:
     if crc:  # zero: the writer left it out
         DATA_END.pack_into(whole, end, opcode, size, zlib.crc32(whole[:end]))
     return bytes(whole)
-
-
-def _metadata(data: bytes, name: str, origin: Json) -> str:
-    """metadata.yaml of a bag of one MCAP file, from the file's summary."""
-    start = summary_start(data[-TAIL_SIZE:], len(data))
-    summary = data[start : len(data) - TAIL_SIZE]
-    schemas, channels = unpack_definitions(summary)
-    kinds = {schema.id: schema for schema in schemas}
-    (span,) = (span for span in walk(summary, 0) if span.opcode == Opcode.STATISTICS)
-    about = Statistics.read(ReadDataStream(BytesIO(summary[span.start : span.end])))
-    times = {"nanoseconds_since_epoch": about.message_start_time}
-    duration = {"nanoseconds": about.message_end_time - about.message_start_time}
-    count = about.message_count
-    topics = [
-        {
-            "topic_metadata": {
-                "name": channel.topic,
-                "type": kinds[channel.schema_id].name,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": [],
-                "type_description_hash": _hash(
-                    kinds[channel.schema_id].name, kinds[channel.schema_id].data.decode()
-                ),
-            },
-            "message_count": about.channel_message_counts.get(channel.id, 0),
-        }
-        for channel in channels
-    ]
-    information = {
-        "version": VERSION,
-        "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": times,
-        "message_count": count,
-        "topics_with_message_count": topics,
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [name],
-        "files": [
-            {"path": name, "starting_time": times, "duration": duration, "message_count": count}
-        ],
-        "custom_data": {
-            key: value if isinstance(value, str) else json.dumps(value)
-            for key, value in origin.items()
-        },
-        "ros_distro": "coordlog",
-    }
-    # JSON is YAML: no other library's dumper is as fast
-    text = json.dumps({"rosbag2_bagfile_information": information}, indent=2, ensure_ascii=False)
-    return text + "\n"
-
-
-@lru_cache(maxsize=64)
-def _hash(kind: str, text: str) -> str:
-    return str(types_of(kind, text).hash_rihs01(kind))
-
-
-@lru_cache(maxsize=1)
-def ros2() -> Typestore:
-    """The standard messages of ROS 2."""
-    return get_typestore(Stores.LATEST)
-
-
-@lru_cache(maxsize=64)
-def types_of(kind: str, text: str) -> Typestore:
-    """A store that knows one more message type, given its definition."""
-    known = ros2()
-    if kind in known.fielddefs:
-        return known
-    own = get_typestore(Stores.LATEST)
-    own.register(get_types_from_msg(text, kind))
-    return own
 
 
 def trajectory(path: JointPath, names: Sequence[str]) -> bytes:

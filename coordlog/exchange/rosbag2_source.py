@@ -19,10 +19,10 @@ from rosbags.interfaces import Connection
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
-from coordlog.exchange.frames import of_files
+from coordlog.exchange.frames import of_files, require_whole
 from coordlog.exchange.joint_state import decode
 from coordlog.exchange.motion import NS, Motion
-from coordlog.exchange.rosbag2 import ros2
+from coordlog.exchange.rosbag2_metadata import ros2
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -83,8 +83,12 @@ def opened(path: Path) -> Iterator[Any]:
         FormatError: if it is damaged, encrypted, or not a bag.
     """
     try:
+        for file in [path] if path.is_file() else sorted(path.iterdir()):
+            require_whole(file)
         bag = AnyReader([path], default_typestore=ros2())
         bag.open()
+    except FormatError:
+        raise
     except Exception as error:  # rosbags lets errors of its decompressors and parsers through
         raise FormatError(f"{path}: {_said(error)}") from error
     try:
@@ -110,7 +114,8 @@ def chosen(bag: Any, path: Path, topic: str) -> Connection:
             raise ConfigError(f"{path}: no joint motion on '{topic}'; it has {had or 'no topics'}")
     if not usable:
         raise FormatError(
-            f"{path}: expected {', '.join(KINDS)}, got {had or 'no topics'}: there is no joint motion to import"
+            f"{path}: expected {', '.join(KINDS)}, got {had or 'no topics'}: there is no joint "
+            "motion to import"
         )
     first = min(KINDS.index(item.msgtype) for item in usable)
     best = [item for item in usable if item.msgtype == KINDS[first]]
@@ -127,7 +132,7 @@ def _joint_states(files: list[Path], path: Path, topic: str, clock: str) -> Moti
     """All joint states of a topic, decoded together."""
     frames = of_files(files, topic)
     found = decode(frames, f"{path}: {topic}")
-    stamps, said = chosen_clock(found.header, frames.times, clock)
+    stamps, said = chosen_clock(f"{path}: {topic}", found.header, frames.times, clock)
     velocity = found.velocity
     return Motion(
         path,
@@ -153,7 +158,8 @@ def _files(bag: Any, path: Path) -> list[Path]:
     reader = bag.readers[0]
     if reader.compression_mode == "message":
         raise FormatError(
-            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag convert` the bag without compression_mode first"
+            f"{path}: expected messages as they are, got each compressed by itself: `ros2 bag "
+            "convert` the bag without compression_mode first"
         )
     return [Path(storage.path) for storage in reader.storage.storages]
 
@@ -166,12 +172,26 @@ def _dynamic(
     for i, (_, data) in enumerate(raw):
         message = bag.deserialize(data, connection.msgtype)
         found = {}
+        where = f"{path}: {connection.topic}: message {i}"
+        if len(message.joint_names) != len(message.interface_values):
+            raise FormatError(
+                f"{where}: expected interfaces of {len(message.joint_names)} joints, got "
+                f"{len(message.interface_values)}"
+            )
         for name, value in zip(message.joint_names, message.interface_values, strict=True):
+            if len(value.interface_names) != len(value.values):
+                raise FormatError(
+                    f"{where}: {name}: expected a value for each of "
+                    f"{', '.join(value.interface_names)}, got {len(value.values)}"
+                )
             pairs = dict(zip(value.interface_names, value.values, strict=True))
             if "position" in pairs:
                 found[str(name)] = (pairs["position"], pairs.get("velocity", np.nan))
         if not found:
-            raise FormatError(f"{path}: {connection.topic}: message {i}: no 'position' interface")
+            had = {each for value in message.interface_values for each in value.interface_names}
+            raise FormatError(
+                f"{where}: expected an interface 'position', got {', '.join(sorted(had)) or 'none'}"
+            )
         names = tuple(sorted(found))
         values = np.array([found[name] for name in names])
         stamp = message.header.stamp
@@ -183,7 +203,8 @@ def _dynamic(
             else f"{path}: {connection.topic}: not a single message"
         )
     header = np.array([row.stamp for row in rows], np.int64)
-    stamps, said = chosen_clock(header, np.array([time for time, _ in raw], np.int64), clock)
+    log = np.array([time for time, _ in raw], np.int64)
+    stamps, said = chosen_clock(f"{path}: {connection.topic}", header, log, clock)
     velocity = np.stack([row.velocity for row in rows if row.velocity is not None])
     return Motion(
         path,
@@ -205,27 +226,41 @@ def _trajectories(
     for i, (time, data) in enumerate(raw):
         message = bag.deserialize(data, connection.msgtype)
         after = [p.time_from_start.sec * NS + p.time_from_start.nanosec for p in message.points]
+        width = len(message.joint_names)
+        for k, point in enumerate(message.points):
+            if not width or len(point.positions) != width:
+                raise FormatError(
+                    f"{path}: {connection.topic}: message {i}: point {k}: expected positions of "
+                    f"{width} joints, got {len(point.positions)}"
+                )
         position = np.array([point.positions for point in message.points], np.float64)
-        velocity = np.array([point.velocities for point in message.points], np.float64)
+        moving = all(len(point.velocities) == width for point in message.points)
+        velocity = np.array([point.velocities if moving else () for point in message.points])
         yield Motion(
             path,
             "rosbag2",
             f"{connection.topic} message {i}",
             tuple(map(str, message.joint_names)),
             time + np.array(after, np.int64),
-            position.reshape(len(after), -1),
-            velocity if velocity.shape == position.shape else None,
+            position.reshape(len(after), width),
+            velocity.reshape(len(after), width) if moving else None,
             clock="time_from_start",
             where={"topic": connection.topic, "type": TRAJECTORY, "message": i},
         )
 
 
-def chosen_clock(header: Array, log: Array, wanted: str) -> tuple[Array, str]:
+def chosen_clock(where: str, header: Array, log: Array, wanted: str) -> tuple[Array, str]:
     """The stamps that are asked for, or the header's unless all of them are zero."""
     if wanted not in ("", "header", "log"):
         raise ConfigError(f"--stamps: expected header or log, got '{wanted}'")
     if wanted == "log" or (not wanted and not header.any()):
         return log, "log time"
+    unset = np.flatnonzero(header == 0)
+    if len(unset) and header.any():
+        raise FormatError(
+            f"{where}: message {unset[0]}: expected a header stamp, got zero, as in {len(unset)} "
+            f"of {len(header)} messages; --stamps log takes the log times"
+        )
     return header, "header stamps"
 
 

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
-from coordlog.errors import FormatError
-from coordlog.record.files import Files, find_files
+from coordlog.errors import FormatError, StorageError
+from coordlog.record.files import Files, Skipped, find_files, nothing_found, reason_of
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -43,7 +43,8 @@ class Entry:
             FormatError: if it is not a finished episode.
         """
         header, result, _ = read_summary(path)
-        return cls(path, header, result)
+        shared = {name: _shared(json.dumps(getattr(header, name))) for name in ("env", "policy")}
+        return cls(path, replace(header, **shared), result)
 
     @cached_property
     def row(self) -> Json:
@@ -77,6 +78,13 @@ class Entry:
             "mujoco_version": str(env.get("mujoco_version", "")),
             "schema_version": int(episode["schema_version"]),
         }
+
+
+@lru_cache(maxsize=64)
+def _shared(text: str) -> Json:
+    """A record that most episodes of a run have in common, once: it is most of a header."""
+    record: Json = json.loads(text)
+    return record
 
 
 class Loaded:
@@ -137,25 +145,26 @@ def entries(
         skip_broken: Leave out what is broken.
 
     Raises:
-        FormatError: if there are none, or one is broken and they are not to be skipped.
+        SpecError: if there are none.
+        FormatError: if one is broken and they are not to be skipped.
     """
     found = paths if isinstance(paths, Files) else find_files(paths)
-    skipped = [f"{path}: {reason}" for path, reason in found.skipped]
-    if skipped and not skip_broken:
-        raise FormatError(f"{skipped[0]}; --skip-broken exports the others")
+    left: list[Skipped] = []
+    if found.skipped and not skip_broken:
+        path, reason = found.skipped[0]
+        raise FormatError(f"{path}: {reason}; --skip-broken exports the others")
     known: list[Entry] = []
     for path in found.paths:
         try:
             known.append(Entry.of(path))
-        except FormatError as error:
+        except (FormatError, StorageError) as error:
             if not skip_broken:
-                raise FormatError(f"{error}; --skip-broken exports the others") from None
-            skipped.append(str(error))
-    skipped += [f"{part}: unfinished; `coordlog recover` makes an episode" for part in found.parts]
+                raise type(error)(f"{error}; --skip-broken exports the others") from None
+            left.append(Skipped(path, reason_of(path, error)))
     if not known:
-        where = "" if isinstance(paths, Files) else f" under {', '.join(map(str, paths))}"
-        raise FormatError(f"no episodes (.mcap){where}: there is nothing to export")
-    return known, skipped
+        given = () if isinstance(paths, Files) else paths
+        raise nothing_found(given, found, skipped=left)
+    return known, found._replace(skipped=(*found.skipped, *left)).left_out()
 
 
 def kind_of(header: Header) -> str:

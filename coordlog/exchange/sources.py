@@ -68,8 +68,14 @@ def kind_of(path: Path) -> str:
         ):
             if (path / marker).is_file():
                 return kind
+        if any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):
+            raise FormatError(
+                f"{path}: a bag without its metadata.yaml: give its .mcap or .db3 file itself, or "
+                "`ros2 bag reindex` the folder"
+            )
         raise FormatError(
-            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) or data/metadata.json (Minari), got none of them"
+            f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
+            "or data/metadata.json (Minari), got none of them"
         )
     if not path.is_file():
         raise FormatError(f"{path}: expected a file or a folder, got a pipe, a socket or a device")
@@ -85,9 +91,17 @@ def kind_of(path: Path) -> str:
         from coordlog.exchange.mcap_source import is_ros2
 
         return "rosbag2" if is_ros2(path) else "mcap"
+    if path.suffix == ".bag":
+        raise FormatError(f"{path}: a ROS 1 bag: `rosbags-convert` makes a ROS 2 bag of it")
+    if path.suffix in (".zstd", ".zst", ".gz"):
+        raise FormatError(
+            f"{path}: a compressed file: give the bag's folder, whose metadata.yaml says how, or "
+            "unpack it"
+        )
     if path.suffix not in suffixes:
         raise FormatError(
-            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data set, got '{path.suffix}'"
+            f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data "
+            f"set, got '{path.suffix}'"
         )
     return suffixes[path.suffix]
 

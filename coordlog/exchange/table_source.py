@@ -1,36 +1,40 @@
 """CSV and Parquet in: a row per sample, a column (or list) of positions per joint.
 
-Columns are found by name: `time`, `timestamp` or `stamp` is the clock, `episode` or `episode_index`
-cuts; of the others those that are told with --columns, or all of `qpos`, or all that are
-numbers. Time is in seconds, or in nanoseconds where it is whole and that large.
+Columns are found by name: the clock as `clock` says, `episode` or `episode_index` cuts; of the
+others those that are told with --columns, or those that are named as positions, or all that are
+numbers. What is not taken is named in the notes.
 """
 
 from __future__ import annotations
 
-import io
 import itertools
-import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pc
-import pyarrow.parquet as pq
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
+from coordlog.exchange import clock as clocks
+from coordlog.exchange.csv_source import number_text, read_csv
 from coordlog.exchange.motion import NS, Motion
+from coordlog.exchange.parquet_source import flat, is_number, read_parquet
 
-CLOCKS = ("time", "timestamp", "stamp", "t", "time_s", "time [s]", "observation.time")
 CUTS = ("episode", "episode_index", "episode_id")
-NUMBERS = ("step", "frame", "frame_index", "index", "row")
-_DEGREES = re.compile(r"(_deg|_degrees|\[deg\]|\(deg\)|\[°\]|\(°\)|°)$", re.IGNORECASE)
-_UNIT = re.compile(r"\s*(_rad|\[rad\]|\(rad\)|\[m\]|\(m\)|[._]pos(ition)?)$", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(rb'(^|[;\t"])-?\d+,\d+($|[;\t"\r])', re.MULTILINE)
-MANY_NS = 1e15
-"""Whole times above this are nanoseconds since some epoch, not seconds."""
+NUMBERS = re.compile(
+    r"step|frame|frame_index|index|row|task_index|(unnamed: |__index_level_)?\d*(__)?", re.I
+)
+"""Columns that count rows: pandas' index, LeRobot's indexes."""
+POSITIONS = ("qpos.", "observation.state.", "position.", "positions.", "joint_positions.")
+"""Beginnings of columns that are joint positions whatever else is in the table."""
+_DEGREES = re.compile(r"(_in)?[\s_./]*[\[(]?(\bdeg|(?<=[_\W])deg|degs|degrees?|°)[\])]?$", re.I)
+_DEGREES_FIRST = re.compile(r"^deg(rees?)?[\s_.]+", re.I)
+_POSITION = re.compile(r"[._ ]pos(ition)?s?$", re.I)
+_UNIT = re.compile(r"\s*(_rad|\[rad\]|\(rad\)|\[m\]|\(m\)|[._]pos(ition)?s?)$", re.I)
+_PAIRS = ((".sec", ".nanosec"), (".secs", ".nsecs"), ("_sec", "_nanosec"), ("_sec", "_nsec"))
+"""Ends of two columns that are one ROS stamp."""
 
 
 def motions(
@@ -46,7 +50,7 @@ def motions(
     Args:
         path: `.csv`, `.tsv` or `.parquet`.
         columns: Those with joint positions; () to find them.
-        clock: The column with the time; "" to find it.
+        clock: The column with the time, and its unit: `t` or `t:ms`; "" to find it.
         rate: Samples a second, for a table without a clock.
         degrees: Whether a person has said that angles are in degrees.
 
@@ -54,102 +58,66 @@ def motions(
         FormatError: if the table cannot be read, naming line or column.
         ConfigError: if clock or columns must be named and are not.
     """
-    table = _flat(_parquet(path) if path.suffix == ".parquet" else _csv(path))
-    named = _clock(path, table, clock, rate)
+    if path.suffix == ".parquet":
+        (raw, notes), kind = (read_parquet(path), ()), "parquet"
+    else:
+        (raw, notes), kind = read_csv(path), "csv"
+    table = _stamped(flat(path, raw))
+    named, unit = _clock(path, table, clock, rate)
+    if not len(table):
+        raise FormatError(f"{path}: expected a row per sample, got not a single one")
     chosen = _positions(path, table, columns, named)
-    marked = [name for name in chosen if _DEGREES.search(name)]
-    if marked and not degrees:
-        raise FormatError(
-            f"{path}: column '{marked[0]}': expected radians, its name says degrees; pass --degrees to turn them"
-        )
+    _require_radians(path, raw.schema, chosen, degrees)
     position = np.stack([_numbers(path, table, name) for name in chosen], axis=1)
-    stamps = _stamps(path, table, named, rate)
-    names = tuple(_UNIT.sub("", _DEGREES.sub("", name)).removeprefix("qpos.") for name in chosen)
-    cut = next((name for name in CUTS if name in table.column_names), "")
-    numbers = np.asarray(table.column(cut)) if cut else np.zeros(len(table), np.int64)
-    edges = [0, *(np.flatnonzero(numbers[1:] != numbers[:-1]) + 1).tolist(), len(table)]
-    for first, stop in itertools.pairwise(edges):
+    stamps, said = _stamps(path, table, named, unit, rate)
+    notes += clocks.suspected(stamps, said, named) if named else ()
+    notes += _left_out(table, chosen, named)
+    names = tuple(_joint(name) for name in chosen)
+    for number, first, stop in _episodes(path, table):
         rows = slice(first, stop)
         yield Motion(
             path,
-            "parquet" if path.suffix == ".parquet" else "csv",
-            f"{cut} {numbers[first]}" if cut and len(table) else "all rows",
+            kind,
+            number,
             names,
             stamps[rows],
             position[rows],
-            clock=f"column '{named}'" if named else "row number over rate",
+            clock=f"column '{named}' {said}".rstrip() if named else "row number over rate",
             where={"columns": list(chosen), "clock": named, "rows": [first, stop]},
+            notes=notes,
         )
 
 
-def _csv(path: Path) -> pa.Table:
-    """A CSV, whatever its line ends; its byte order mark, if any, left out."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read: {error.strerror}") from error
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise FormatError(f"{path}: expected UTF-8, got UTF-16; save it as UTF-8")
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    head = data.split(b"\n", 1)[0].rstrip(b"\r")
-    if not head:
-        raise FormatError(f"{path}: expected a header of column names in line 1, got none")
-    delimiter = max((",", ";", "\t"), key=lambda each: head.count(each.encode()))
-    found = _DECIMAL_COMMA.search(data) if delimiter != "," else None
-    if found:
-        line = data.count(b"\n", 0, found.start(0) + 1) + 1
-        text = found.group(0).strip(b';\t"\r\n').decode()
-        raise FormatError(
-            f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it with points"
-        )
-    try:
-        return pc.read_csv(
-            io.BytesIO(data),
-            parse_options=pc.ParseOptions(delimiter=delimiter),
-            convert_options=pc.ConvertOptions(null_values=[""]),
-        )
-    except pa.ArrowInvalid as error:
-        raise FormatError(f"{path}: {str(error).splitlines()[0]}") from error
+def _stamped(table: pa.Table) -> pa.Table:
+    """Seconds and nanoseconds of a ROS stamp, in two columns, as the one column `stamp`."""
+    names = table.column_names
+    for sec, nanosec in _PAIRS:
+        for name in names:
+            other = name.removesuffix(sec) + nanosec
+            if not name.endswith(sec) or other not in names:
+                continue
+            whole = np.asarray(table.column(name)).astype(np.int64) * NS
+            whole += np.asarray(table.column(other)).astype(np.int64)
+            rest = table.drop_columns([name, other])
+            return rest.add_column(0, "stamp", pa.array(whole, pa.timestamp("ns")))
+    return table
 
 
-def _parquet(path: Path) -> pa.Table:
-    try:
-        return pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"{path}: {str(error).splitlines()[0]}") from error
-
-
-def _flat(table: pa.Table) -> pa.Table:
-    """Lists of one length as columns of their own, `NAME.ENTRY`."""
-    columns: dict[str, pa.ChunkedArray] = {}
-    for item in table.schema:
-        column = table.column(item.name)
-        if not pa.types.is_fixed_size_list(item.type):
-            columns[item.name] = column
-            continue
-        width = item.type.list_size
-        about = (item.metadata or {}).get(b"names", b"")
-        labels = json.loads(about) if about else [str(i) for i in range(width)]
-        values = column.combine_chunks().flatten()
-        for i, label in enumerate(labels):
-            columns[f"{item.name}.{label}"] = values.take(pa.array(range(i, len(values), width)))
-    return pa.table(columns)
-
-
-def _clock(path: Path, table: pa.Table, clock: str, rate: float) -> str:
+def _clock(path: Path, table: pa.Table, clock: str, rate: float) -> tuple[str, str]:
     if rate:
-        return ""
-    if clock and clock not in table.column_names:
-        raise ConfigError(
-            f"{path}: --clock {clock}: the columns are {', '.join(table.column_names)}"
-        )
-    lower = {name.lower(): name for name in table.column_names}
-    found = clock or next((lower[name] for name in CLOCKS if name in lower), "")
+        return "", ""
+    if clock:
+        return clocks.named(clock, table.column_names)
+    found = clocks.find(table.column_names)
+    temporal = [item.name for item in table.schema if pa.types.is_temporal(item.type)]
+    if not found and len(temporal) == 1:
+        return temporal[0], ""
     if not found:
         raise ConfigError(
-            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are {', '.join(table.column_names)}"
+            f"{path}: no column of time; name it with --clock, or say --rate HZ: the columns are "
+            f"{', '.join(table.column_names)}"
         )
-    return found
+    return found, ""
 
 
 def _positions(
@@ -162,24 +130,59 @@ def _positions(
         )
     if columns:
         return columns
-    known = {clock, *CLOCKS, *CUTS, *NUMBERS}
-    free = [name for name in table.column_names if name.lower() not in known and name != clock]
-    of_qpos = [name for name in free if name.startswith("qpos.")]
-    text = [name for name in free if pa.types.is_string(table.column(name).type)]
-    if text and not of_qpos:
-        raise FormatError(
-            f"{path}: column '{text[0]}': expected numbers, got text such as '{table.column(text[0])[0]}'; choose columns with --columns"
-        )
-    found = of_qpos or [name for name in free if _is_number(table.column(name).type)]
+    free = [name for name in table.column_names if name != clock and not _is_other(name)]
+    for beginning in POSITIONS:
+        if any(name.startswith(beginning) for name in free):
+            return tuple(name for name in free if name.startswith(beginning))
+    by_name = [name for name in free if _POSITION.search(name)]
+    if by_name:
+        return tuple(by_name)
+    for name in free:
+        if pa.types.is_string(table.column(name).type):
+            number_text(path, table, name)
+    found = [name for name in free if is_number(table.column(name).type)]
     if not found:
-        raise FormatError(
-            f"{path}: no column of joint positions; the columns are {', '.join(table.column_names)}"
-        )
+        had = ", ".join(f"{item.name} ({item.type})" for item in table.schema)
+        raise FormatError(f"{path}: no column of joint positions; the columns are {had}")
     return tuple(found)
 
 
-def _is_number(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
+def _is_other(name: str) -> bool:
+    return name.lower() in CUTS or clocks.is_clock(name) or bool(NUMBERS.fullmatch(name))
+
+
+def _left_out(table: pa.Table, chosen: Sequence[str], clock: str) -> tuple[str, ...]:
+    """Columns that hold something and were not taken, but for those that count."""
+    lost = [
+        name or "a column without a name"
+        for name in table.column_names
+        if name not in (*chosen, clock)
+        and name.lower() not in CUTS
+        and not (name and NUMBERS.fullmatch(name))
+    ]
+    return (f"columns that were not taken: {', '.join(lost)}",) if lost else ()
+
+
+def _require_radians(path: Path, schema: pa.Schema, chosen: Sequence[str], degrees: bool) -> None:
+    """Hold columns to be in radians, by their names and by the unit in their metadata."""
+    for name in chosen:
+        place = schema.get_field_index(name)
+        about = (schema.field(place).metadata or {}) if place >= 0 else {}
+        unit = about.get(b"unit", b"").decode("utf-8", "replace")
+        marked = _DEGREES.search(name) or _DEGREES_FIRST.search(name) or _DEGREES.search(" " + unit)
+        if marked and not degrees:
+            raise FormatError(
+                f"{path}: column '{name}': expected radians, its name says degrees; pass "
+                "--degrees to turn them"
+            )
+
+
+def _joint(name: str) -> str:
+    """The joint that a column is of: its name without what says unit and kind."""
+    bare = _UNIT.sub("", _DEGREES_FIRST.sub("", _DEGREES.sub("", name)))
+    for beginning in POSITIONS:
+        bare = bare.removeprefix(beginning)
+    return bare.split(".position.")[-1] or name
 
 
 def _numbers(path: Path, table: pa.Table, name: str) -> Array:
@@ -190,20 +193,35 @@ def _numbers(path: Path, table: pa.Table, name: str) -> Array:
     try:
         return np.asarray(column.to_numpy(), np.float64)
     except (ValueError, TypeError) as error:
-        raise FormatError(f"{path}: column '{name}': expected numbers: {error}") from error
+        raise FormatError(
+            f"{path}: column '{name}': expected numbers, got {column.type}"
+        ) from error
 
 
-def _stamps(path: Path, table: pa.Table, clock: str, rate: float) -> Array:
-    """Nanoseconds."""
+def _stamps(path: Path, table: pa.Table, clock: str, unit: str, rate: float) -> tuple[Array, str]:
     if not clock:
-        return np.asarray(np.rint(np.arange(len(table)) / rate * NS), np.int64)
-    column = table.column(clock)
-    if pa.types.is_timestamp(column.type):
-        return np.asarray(column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy(), np.int64)
-    if pa.types.is_integer(column.type) and len(column) and abs(column[0].as_py()) > MANY_NS:
-        return np.asarray(column.to_numpy(), np.int64)
-    seconds = _numbers(path, table, clock)
-    bad = np.flatnonzero(~np.isfinite(seconds))
-    if len(bad):
-        raise FormatError(f"{path}: column '{clock}', row {bad[0]}: expected a time, got none")
-    return np.asarray(np.rint(seconds * NS), np.int64)
+        return np.asarray(np.rint(np.arange(len(table)) / rate * NS), np.int64), ""
+    return clocks.nanoseconds(table.column(clock), f"{path}: column '{clock}'", clock, unit)
+
+
+def _episodes(path: Path, table: pa.Table) -> Iterator[tuple[str, int, int]]:
+    """Name, first row and end of each episode.
+
+    Raises:
+        FormatError: if the rows of an episode do not stand together.
+    """
+    cut = next((name for name in table.column_names if name.lower() in CUTS), "")
+    if not cut:
+        yield "all rows", 0, len(table)
+        return
+    numbers = np.asarray(table.column(cut))
+    edges = [0, *(np.flatnonzero(numbers[1:] != numbers[:-1]) + 1).tolist(), len(table)]
+    seen = set()
+    for first, stop in itertools.pairwise(edges):
+        if numbers[first] in seen:
+            raise FormatError(
+                f"{path}: column '{cut}', row {first}: {numbers[first]} comes again after others; "
+                "sort the rows by it first"
+            )
+        seen.add(numbers[first])
+        yield f"{cut} {numbers[first]}", first, stop

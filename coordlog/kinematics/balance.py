@@ -33,11 +33,14 @@ def support_margin(point: Array, corners: Array) -> Array:
         Margin, shape (...). Outside the polygon it is negative (a bound on the distance, not the
         distance itself).
     """
-    # Corners first and contiguous: the reductions below run over the first axis, several times faster than over the last.
+    # Corners first and contiguous: the reductions below run over the first axis, several times
+    # faster than over the last.
     x, y, z = np.ascontiguousarray(np.moveaxis(corners, (-1, -2), (0, 1)))  # (C, ...) each
     x, y = x - point[..., 0], y - point[..., 1]
     low = z < CONTACT_HEIGHT
-    if not low.all():  # those in the air move to one on the floor, which leaves the hull of those on the floor as it is
+    # those in the air move to one on the floor, which leaves the hull of those on the floor as it
+    # is
+    if not low.all():
         standing = low.argmax(axis=0)[None]
         x, y = (np.where(low, side, np.take_along_axis(side, standing, axis=0)) for side in (x, y))
     first, second = _pairs(len(x))

@@ -35,7 +35,8 @@ class Logged:
             """Ids of the action joints."""
         except KeyError as error:
             raise FormatError(
-                f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}"
+                f"the attached model lacks what robot '{robot.name}' names: "
+                f"{str(error).splitlines()[0]}"
             ) from error
         self.time, self.qpos = time, qpos
         self._places: Array = model.jnt_qposadr[self.joints]

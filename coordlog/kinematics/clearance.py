@@ -109,19 +109,28 @@ class SceneChecker:
         self._listed = self._index[model.pair_geom1, model.pair_geom2] >= 0
         self._set_margin(0.0)
         self.inverse = Inverse(self._model, self._logged, self._footing)
-        change = found.change
+        self.reach: Array = self._bounded(found.change, speeds(model, time, qpos))
+        """Metres by which a radian or metre of each action joint changes each slack, at most,
+        (P, n_u)."""
+
+    def _bounded(self, change: Array, speed: Array) -> Array:
+        """How each action joint changes each slack, at most; what all other motion does to them is
+        kept beside it.
+
+        Args:
+            change: How each joint of the model changes each slack, at most, (P, n_v).
+            speed: How fast each joint moved between two samples, (T - 1, n_v).
+        """
         if len(self._slides):
             change = np.concatenate([change, np.zeros((1, change.shape[1]))])
             change[-1, np.array(self._joints)[self._slides]] = 1.0
-        self.reach: Array = change[:, self._joints]
-        """Metres by which a radian or metre of each action joint changes each slack, at most,
-        (P, n_u)."""
-        others = np.delete(speeds(model, time, qpos), self._joints, axis=1)
+        others = np.delete(speed, self._joints, axis=1)
         self._drift = others @ np.delete(change, self._joints, axis=1).T
         if self._corners:  # a corner that comes to or leaves the floor changes the balance at once
             lifted = np.flatnonzero(np.diff(self._footing.standing, axis=0).any(axis=1))
             rows = np.clip(lifted[:, None] + (-1, 0, 1), 0, len(self._drift) - 1)
             self._drift[rows, len(self.pairs)] = np.inf
+        return np.asarray(change[:, self._joints])
 
     def _set_margin(self, margin: float) -> None:
         """Let the engine list contacts of all pairs that are looked at, up to a distance."""

@@ -75,7 +75,8 @@ class Motion:
         left = np.arange(len(low))
         while len(
             left
-        ):  # the polygon of one configuration serves all others where the same corners still span one
+            # the polygon of one configuration serves all others where the same corners span one
+        ):
             on = np.flatnonzero(low[left[0]])
             turn = on[hull(points[left[0], on])]
             same = (low[left] == low[left[0]]).all(axis=1) & is_hull(
@@ -111,7 +112,8 @@ class Geometry:
             wanted = mujoco.mj_stateSize(model, STATE)
             if initial.shape != (wanted,):
                 raise FormatError(
-                    f"attached initial state: expected {wanted} numbers for the attached model, got shape {initial.shape}"
+                    f"attached initial state: expected {wanted} numbers for the attached model, "
+                    f"got shape {initial.shape}"
                 )
             mujoco.mj_setState(model, self._data, initial, STATE)
         try:
@@ -122,7 +124,8 @@ class Geometry:
             joints = [model.joint(name) for name in robot.action_joints]
         except KeyError as error:
             raise FormatError(
-                f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}"
+                f"the attached model lacks what robot '{robot.name}' names: "
+                f"{str(error).splitlines()[0]}"
             ) from error
         self.joints: Array = np.array([joint.qposadr[0] for joint in joints], dtype=int)
         """Places of the action joints in qpos, (n_u,)."""
@@ -149,7 +152,8 @@ class Geometry:
         model = load_attached(attachments)
         if model.nq != episode.qpos.shape[1]:
             raise FormatError(
-                f"the attached model: expected nq = {episode.qpos.shape[1]} as in the steps, got {model.nq}"
+                f"the attached model: expected nq = {episode.qpos.shape[1]} as in the steps, got "
+                f"{model.nq}"
             )
         state = attachments.get(INITIAL_STATE)
         return cls(

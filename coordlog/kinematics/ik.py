@@ -83,19 +83,8 @@ class Reach:
         self._model, self._margin, self._tilt, self._soles = copy(model), margin, tilt, robot.soles
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
-        last = [int(model.site(arm.palm).bodyid[0]) for arm in robot.arms]
-        tips, arms = (
-            np.isin(model.geom_bodyid, last),
-            np.isin(model.geom_bodyid, [*last, *model.body_parentid[last]]),
-        )
-        self._tip_geoms = set(np.flatnonzero(tips & (model.geom_contype > 0)).tolist())
         self._wide = copy(model)
-        for own, far, links in (self._model, MARGIN, tips), (self._wide, FAR, arms):
-            own.geom_margin[self._obstacles] = (
-                far  # contacts with obstacles are listed before they touch
-            )
-            own.geom_margin[links] = MARGIN  # and those of the arms with the rest of the robot
-            mujoco.mj_setConst(own, mujoco.MjData(own))  # bodies have margins, too
+        self._tip_geoms = self._set_margins(robot)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
@@ -121,6 +110,18 @@ class Reach:
         self._jacobian = np.zeros((3, self._model.nv))
         self.met: tuple[int, int] = (-1, -1)
         """The pair of geoms that the last `touches` found."""
+
+    def _set_margins(self, robot: Robot) -> set[int]:
+        """Have contacts listed before anything touches; the geoms of the arms' last links."""
+        model = self._model
+        last = [int(model.site(arm.palm).bodyid[0]) for arm in robot.arms]
+        tips = np.isin(model.geom_bodyid, last)
+        arms = np.isin(model.geom_bodyid, [*last, *model.body_parentid[last]])
+        for own, far, links in (self._model, MARGIN, tips), (self._wide, FAR, arms):
+            own.geom_margin[self._obstacles] = far
+            own.geom_margin[links] = MARGIN  # those of the arms with the rest of the robot
+            mujoco.mj_setConst(own, mujoco.MjData(own))  # bodies have margins, too
+        return set(np.flatnonzero(tips & (model.geom_contype > 0)).tolist())
 
     @staticmethod
     def angles_of(robot: Robot, pose: str) -> Array:

@@ -41,7 +41,8 @@ class Footing:
             """Ids of the sites at the corners of the soles."""
         except KeyError as error:
             raise FormatError(
-                f"the attached model lacks what robot '{robot.name}' names: {str(error).splitlines()[0]}"
+                f"the attached model lacks what robot '{robot.name}' names: "
+                f"{str(error).splitlines()[0]}"
             ) from error
         self._time = logged.time
         self.standing: Array = np.zeros((len(logged.qpos), len(self.corners)), dtype=bool)

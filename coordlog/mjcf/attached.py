@@ -61,7 +61,8 @@ def require_size(source: Source, whose: str) -> None:
     size = len(source.text.encode()) + sum(map(len, source.assets.values()))
     if size > MAX_BYTES:
         raise ConfigError(
-            f"{whose}: expected a model of at most {MAX_BYTES >> 20} MiB, its text and collision meshes together, "
+            f"{whose}: expected a model of at most {MAX_BYTES >> 20} MiB, its text and collision "
+            "meshes together, "
             f"got {size / (1 << 20):.0f} MiB: simplify its meshes"
         )
 
@@ -133,7 +134,8 @@ def _files(assets: Mapping[str, bytes], *, room: int) -> dict[str, bytes]:
         room -= len(found[name])
         if room < 0:
             raise FormatError(
-                f"the attached model expands to more than {MAX_BYTES >> 20} MiB: not a model this release opens"
+                f"the attached model expands to more than {MAX_BYTES >> 20} MiB: not a model this "
+                "release opens"
             )
     return found
 
@@ -170,14 +172,16 @@ def self_contained(text: bytes, files: Mapping[str, bytes] | None = None) -> str
     for element in root.iter():
         if element.tag in _READS_FILES:
             raise FormatError(
-                f"the attached model has <{element.tag}>: expected a model that needs no other file or library"
+                f"the attached model has <{element.tag}>: expected a model that needs no other "
+                "file or library"
             )
         for name, value in element.items():
             if name == "file" and value in (files or {}):
                 continue
             if "file" in name or name in _FOLDERS:
                 raise FormatError(
-                    f"the attached model has {name}= in <{element.tag}>: expected a model that reads no other file"
+                    f"the attached model has {name}= in <{element.tag}>: expected a model that "
+                    "reads no other file"
                 )
     return ET.tostring(root, encoding="unicode")
 

@@ -134,7 +134,8 @@ def _fit(spec: mujoco.MjSpec, scene: Scene) -> None:
     robot = scene.robot
     faults = _taken(spec, scene) + switched(spec) + unknown_names(spec, robot)
     faults += [
-        f"its spec names a joint '{name}', but its model has {some(joint.name for joint in spec.joints)}"
+        f"its spec names a joint '{name}', but its model has "
+        f"{some(joint.name for joint in spec.joints)}"
         for name in robot.action_joints
         if spec.joint(name) is None
     ]
@@ -151,7 +152,8 @@ def _fit(spec: mujoco.MjSpec, scene: Scene) -> None:
         body = spec.body(arm.palm)
         if body is None:
             faults.append(
-                f"arm '{arm.name}': expected a site or a body called '{arm.palm}' as its palm, found none"
+                f"arm '{arm.name}': expected a site or a body called '{arm.palm}' as its palm, "
+                "found none"
             )
         else:
             body.add_site(name=arm.palm, pos=arm.at)
@@ -197,7 +199,8 @@ def _range(spec: mujoco.MjSpec, robot: Robot, joint: Any) -> list[str]:
             wanted = np.degrees(wanted)
     else:
         return [
-            f"expected a range for joint '{joint.name}', which the action moves and is a slide; its model has none: "
+            f"expected a range for joint '{joint.name}', which the action moves and is a slide; "
+            "its model has none: "
             f"say ranges={{'{joint.name}': (low, high)}}"
         ]
     joint.limited, joint.range = LIMITED, wanted

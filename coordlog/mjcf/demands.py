@@ -44,11 +44,13 @@ def switched(spec: mujoco.MjSpec) -> list[str]:
     said = []
     if spec.option.disableflags & CONTACT:
         said.append(
-            'its model switches contacts off (<flag contact="disable"/>), so no collision could be seen: take that out'
+            'its model switches contacts off (<flag contact="disable"/>), so no collision could be '
+            "seen: take that out"
         )
     if spec.option.enableflags & SLEEP:
         said.append(
-            'its model lets bodies sleep (<flag sleep="enable"/>), which is no part of a state that a log could hold: '
+            'its model lets bodies sleep (<flag sleep="enable"/>), which is no part of a state '
+            "that a log could hold: "
             "take that out"
         )
     if not spec.option.timestep > 0:

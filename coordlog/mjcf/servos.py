@@ -99,7 +99,8 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
         served = sum(_normalised(act) for act in own)
         if served > 1 and joint.name in robot.action_joints:
             faults.append(
-                f"joint '{joint.name}' has {served} position servos, which would pull against one another: expected one"
+                f"joint '{joint.name}' has {served} position servos, which would pull against one "
+                "another: expected one"
             )
         if served or joint.type not in (HINGE, SLIDE):
             continue
@@ -184,8 +185,10 @@ def _without(joint: str, own: Sequence[mujoco._specs.MjsActuator]) -> str:
     name = f" '{own[0].name}'" if own and own[0].name else ""
     what = f"its actuator{name} is a {_kind(own[0])}" if own else "it has no actuator"
     return (
-        f"joint '{joint}' has no position servo, {what}: expected one for every joint of the action; say gains, "
-        f"servo_gains={{'{joint}': (kp, kv)}} in the Robot or [servo_gains] in its card, and it gets one"
+        f"joint '{joint}' has no position servo, {what}: expected one for every joint of the "
+        "action; say gains, "
+        f"servo_gains={{'{joint}': (kp, kv)}} in the Robot or [servo_gains] in its card, and it "
+        "gets one"
     )
 
 

@@ -61,7 +61,8 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData, geom: int, robot: Robot)
         points = np.stack([place - axis, place + axis]) + size[0] * down
     elif kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
         raise ConfigError(
-            f"robot '{robot.name}': its sole '{model.geom(geom).name}' is a plane or a height field: expected a solid geom"
+            f"robot '{robot.name}': its sole '{model.geom(geom).name}' is a plane or a height "
+            "field: expected a solid geom"
         )
     else:
         half = model.geom_aabb[geom, 3:]

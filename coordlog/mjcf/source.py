@@ -103,7 +103,8 @@ def _whole(key: _Key) -> Source:
         return Source(text)
     if len(spec.plugins):
         raise ConfigError(
-            f"robot '{robot.name}': its model has a plugin, expected one that needs no library but MuJoCo: take the plugin out"
+            f"robot '{robot.name}': its model has a plugin, expected one that needs no library but "
+            "MuJoCo: take the plugin out"
         )
     spec.compiler.fusestatic = False  # a base that is fused into the world would be an obstacle
     spec.compiler.discardvisual = False
@@ -177,7 +178,8 @@ def _included(robot: Robot) -> dict[str, bytes]:
 def _refused(robot: Robot, error: ValueError) -> ConfigError:
     said = str(error).strip().splitlines()[0].removeprefix("Error: ")
     return ConfigError(
-        f"robot '{robot.name}': expected its model as MJCF or URDF that MuJoCo takes, which says: {said}"
+        f"robot '{robot.name}': expected its model as MJCF or URDF that MuJoCo takes, which says: "
+        f"{said}"
     )
 
 
@@ -229,7 +231,8 @@ def files_of(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
             name, suffix = thing.file, Path(thing.file).suffix.lower()
             if suffix in UNREADABLE:
                 faults.append(
-                    f"{kind} '{thing.name}' reads {name}, a format MuJoCo does not read (convert it to STL or OBJ, with assimp or Blender)"
+                    f"{kind} '{thing.name}' reads {name}, a format MuJoCo does not read (convert "
+                    "it to STL or OBJ, with assimp or Blender)"
                 )
                 continue
             data = _content(robot, name, folder)
@@ -257,7 +260,10 @@ def _where(robot: Robot) -> str:
     if isinstance(robot.assets, Path):
         return str(robot.assets)
     if robot.assets is None:
-        return "its text, and no folder is given: give the robot's `mjcf` as a Path, or its files as `assets`"
+        return (
+            "its text, and no folder is given: give the robot's `mjcf` as a Path, or its files as "
+            "`assets`"
+        )
     return f"the robot's assets ({', '.join(sorted(robot.assets)) or 'none'})"
 
 

@@ -91,7 +91,8 @@ def load_arrays(path: Path, *, kind: str, most: int = MOST) -> Saved:
             said = file.metadata() or {}
             if said.get("kind") != kind:
                 raise FormatError(
-                    f"{path}: expected a {kind} file, got {said.get('kind', 'a file of another program')}"
+                    f"{path}: expected a {kind} file, got "
+                    f"{said.get('kind', 'a file of another program')}"
                 )
             names = file.keys()  # not a mapping: it cannot be iterated
             for name in names:

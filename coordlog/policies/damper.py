@@ -12,16 +12,16 @@ import numpy as np
 from coordlog.contracts import Policy
 from coordlog.episode import Array
 from coordlog.kinematics.ik import Reach
-from coordlog.policies.avoidance import farthest, gap_at, turned
+from coordlog.policies.avoidance import DamperConfig, farthest, turned
 from coordlog.sim.task import BoundTask
 
 
 class Shielded:
     """Another policy, shielded from spheres."""
 
-    def __init__(self, policy: Policy, task: BoundTask, reach: Reach) -> None:
+    def __init__(self, policy: Policy, task: BoundTask, reach: Reach, config: DamperConfig) -> None:
         """Take the kinematics of a scene with spheres."""
-        self._policy, self._task, self._reach = policy, task, reach
+        self._policy, self._task, self._reach, self._config = policy, task, reach, config
         self._step = task.speeds * task.config.control_period  # (n_u,) rad per step at action 1
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
@@ -45,6 +45,7 @@ class Shielded:
                 q,
                 action,
                 step=self._step,
-                safe=gap_at(farthest(palms[row], goals[row])),
+                config=self._config,
+                distance=farthest(palms[row], goals[row]),
             )
         return found

@@ -15,43 +15,62 @@ from itertools import pairwise
 import numpy as np
 
 from coordlog.episode import Array
+from coordlog.errors import ConfigError
 from coordlog.kinematics.ik import Reach
-from coordlog.policies.avoidance import farthest, gap_at, turned
+from coordlog.policies.avoidance import DamperConfig, farthest, require_positive, turned
 from coordlog.sim.task import BoundTask
 
-GAIN_STEPS = 4.0
-"""An error is meant to be gone after this many steps at the speed it asks for.
-
-Fewer would overshoot behind the command filter.
-"""
-ARRIVED = 0.15
-"""A way point is passed within this distance of every joint [rad]."""
-NEAR = 0.06
-"""Palm correction starts within this distance of the last way point [rad]."""
-CORRECTION = 0.15
-"""Share of the palm error that the last way point takes up per step."""
-CLEARANCES = (0.03, 0.02, 0.01, 0.0)
-SLIDING = (0.015, 0.0)
-"""Clearances that a way past spheres is tried with, from other links than those that slide and from
-the robot itself [m]."""
-THERE = 0.02
-"""Such a way arrives where every palm is this close to its goal [m]."""
-PROGRESS, PATIENCE = 0.005, 10
-"""A way point is passed by if for this many steps its error has not shrunk by that much [rad]: a
-sphere is in its place."""
-ROLLOUT = 130
-"""Steps that a way may take."""
-RESTARTS = 60
-"""Random postures to search from when no known one leads to the goals."""
-TRIES = 60
-"""Random changes to the via poses when no known way is free."""
 VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
 """Joints of each side that the known via poses bend.
 
 A robot that lacks one goes straight to its goals.
 """
-SPREAD = 0.35
-"""Standard deviation of the random changes to the via poses when no known way is free [rad]."""
+
+
+@dataclass(frozen=True)
+class ExpertConfig:
+    """Constants of the expert; the table [policy] of a configuration file, logged with every
+    episode it acts in.
+
+    Example:
+        >>> ExpertConfig(gain_steps=6.0).arrived
+        0.15
+    """
+
+    gain_steps: float = 4.0
+    """An error is meant to be gone after this many steps at the speed it asks for. Fewer would
+    overshoot behind the command filter."""
+    arrived: float = 0.15
+    """A way point is passed within this distance of every joint [rad]."""
+    near: float = 0.06
+    """Palm correction starts within this distance of the last way point [rad]."""
+    correction: float = 0.15
+    """Share of the palm error that the last way point takes up per step."""
+    clearances: tuple[float, ...] = (0.03, 0.02, 0.01, 0.0)
+    """Clearances that a way is tried with, the first that fits [m]."""
+    sliding: tuple[float, ...] = (0.015, 0.0)
+    """Clearances that a way past spheres is tried with, from other links than those that slide and
+    from the robot itself [m]."""
+    there: float = 0.02
+    """Such a way arrives where every palm is this close to its goal [m]."""
+    progress: float = 0.005
+    """A way point is passed by if for `patience` steps its error has not shrunk by this much [rad]:
+    a sphere is in its place."""
+    patience: int = 10
+    """Steps."""
+    rollout: int = 130
+    """Steps that a way may take."""
+    restarts: int = 60
+    """Random postures to search from when no known one leads to the goals."""
+    tries: int = 60
+    """Random changes to the via poses when no known way is free."""
+    spread: float = 0.35
+    """Their standard deviation [rad]."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, besides=("correction", "restarts", "tries", "spread"))
+        if not self.clearances:
+            raise ConfigError("clearances: expected at least one, got none")
 
 
 @dataclass
@@ -74,15 +93,26 @@ class Plan:
 class Expert:
     """Plans at the start of an episode, then follows."""
 
-    def __init__(self, task: BoundTask, reach: Reach, n: int) -> None:
+    def __init__(
+        self,
+        task: BoundTask,
+        reach: Reach,
+        n: int,
+        *,
+        config: ExpertConfig | None = None,
+        damper: DamperConfig | None = None,
+    ) -> None:
         """Prepare the known ways through the joint space.
 
         Args:
             task: View of the state, joint speeds and limits.
             reach: Kinematics of the scene; the expert moves its spheres about.
             n: Number of slots.
+            config: Its constants.
+            damper: Those of sliding past spheres.
         """
         self._task, self._reach = task, reach
+        self._config, self._damper = config or ExpertConfig(), damper or DamperConfig()
         self._plans: list[Plan | None] = [None] * n
         self._moves = ~task.locked  # (n_u,) bool
         self._step = np.where(
@@ -103,7 +133,7 @@ class Expert:
             targets, around = np.asarray(goal.reshape(-1, 3)), obstacle.reshape(-1, 4)
             self._reach.place(around)
             held = None if self._moves.all() else np.where(self._moves, np.nan, start)
-            there = farthest(hands.reshape(-1, 3), targets) < THERE
+            there = farthest(hands.reshape(-1, 3), targets) < self._config.there
             way = [start] if there else self._way(start, targets, rng, held)
             self._plans[slot] = Plan(way, targets, np.zeros_like(targets), held, around)
 
@@ -128,12 +158,17 @@ class Expert:
         """The action that takes up an error, all joints arriving together, sliding past what is
         near where there are spheres, (n_u,).
         """
-        wanted = error / (self._step * GAIN_STEPS)
+        wanted = error / (self._step * self._config.gain_steps)
         action = wanted / max(1.0, np.abs(wanted).max())
         if not self._task.n_spheres:
             return np.asarray(action)
         return turned(
-            self._reach, angles, action, step=self._step * self._moves, safe=gap_at(distance)
+            self._reach,
+            angles,
+            action,
+            step=self._step * self._moves,
+            config=self._damper,
+            distance=distance,
         )
 
     def _follow(self, plan: Plan, angles: Array, palms: Array) -> Array:
@@ -142,8 +177,8 @@ class Expert:
         Passes way points and corrects the last one.
         """
         error = self._next(plan, angles)
-        if plan.at + 1 == len(plan.points) and np.abs(error).max() < NEAR:
-            plan.bias += CORRECTION * (plan.goals - palms)
+        if plan.at + 1 == len(plan.points) and np.abs(error).max() < self._config.near:
+            plan.bias += self._config.correction * (plan.goals - palms)
             corrected = self._reach.descend(plan.goals + plan.bias, plan.points[-1], held=plan.held)
             if corrected is not None:
                 plan.points[-1] = corrected
@@ -156,10 +191,10 @@ class Expert:
         """
         error = np.asarray(plan.points[plan.at] - angles) * self._moves
         size = float(np.abs(error).max())
-        plan.stuck = 0 if size < plan.least - PROGRESS else plan.stuck + 1
+        plan.stuck = 0 if size < plan.least - self._config.progress else plan.stuck + 1
         plan.least = min(plan.least, size)
         while plan.at + 1 < len(plan.points) and (
-            np.abs(error).max() < ARRIVED or plan.stuck > PATIENCE
+            np.abs(error).max() < self._config.arrived or plan.stuck > self._config.patience
         ):
             plan.at, plan.stuck, plan.least = plan.at + 1, 0, np.inf
             error = (plan.points[plan.at] - angles) * self._moves
@@ -177,30 +212,30 @@ class Expert:
         """
         ends = self._ends(goals, rng, held)
         ways = [[np.where(self._moves, via, start) for via in way] for way in self._ways]
-        ready = [[*vias, end] for end in ends for vias in ways]
+        known = [[*vias, end] for end in ends for vias in ways]
         if self._task.n_spheres:
             direct = [[end] for end in ends]
-            for clearance in SLIDING:
-                for way in direct + ready:
+            for clearance in self._config.sliding:
+                for way in direct + known:
                     if self._slides(start, way, goals, clearance):
                         return way
-        for clearance in CLEARANCES:
-            for way in ready:
+        for clearance in self._config.clearances:
+            for way in known:
                 if self._clear([start, *way], clearance):
                     return way
         low, high = self._task.limits.T
         spread = (
-            SPREAD * self._moves * self._step / self._step.max()
+            self._config.spread * self._moves * self._step / self._step.max()
         )  # a slow spine's detour would take the whole episode
 
         def bent(via: Array) -> Array:
             return np.asarray(np.clip(via + spread * rng.standard_normal(len(via)), low, high))
 
-        for _ in range(TRIES):
-            known = [bent(via) for via in ways[0]]
+        for _ in range(self._config.tries):
+            moved = [bent(via) for via in ways[0]]
             for end in ends:
-                vias = known or [bent((start + end) / 2)]  # about the middle of the straight way
-                if self._clear([start, *vias, end], CLEARANCES[-1]):
+                vias = moved or [bent((start + end) / 2)]  # about the middle of the straight way
+                if self._clear([start, *vias, end], self._config.clearances[-1]):
                     return [*vias, end]
         return [*ways[0], ends[0]]
 
@@ -214,7 +249,7 @@ class Expert:
             self._reach.solve(goals, held=held)
         ]
         legal = [end for end in found if end is not None]
-        for _ in range(RESTARTS if not legal else 0):
+        for _ in range(self._config.restarts if not legal else 0):
             end = self._reach.solve(
                 goals, seed=np.asarray(rng.uniform(*self._task.limits.T)), held=held
             )
@@ -234,11 +269,12 @@ class Expert:
             Plan(list(way), goals, np.zeros_like(goals), None, np.zeros((0, 4))),
             start.copy(),
         )
-        for _ in range(ROLLOUT):
+        for _ in range(self._config.rollout):
             error = self._next(plan, angles)
             distance = farthest(self._reach.palms(angles), goals)
-            if plan.at + 1 == len(way) and (distance < THERE or plan.stuck > PATIENCE):
-                return distance < THERE
+            there = distance < self._config.there
+            if plan.at + 1 == len(way) and (there or plan.stuck > self._config.patience):
+                return there
             angles = angles + self._towards(error, angles, distance) * self._step
             if self._reach.touches(angles, clearance=clearance, own=clearance):
                 return False

@@ -44,7 +44,8 @@ def load(name: str) -> tuple[Act, Json]:
     path = Path(name)
     if not path.is_file():
         raise ConfigError(
-            f"{name}: expected random, FILE.py:NAME or a model of stable-baselines3 (.zip), found no such file"
+            f"{name}: expected random, FILE.py:NAME or a model of stable-baselines3 (.zip), found "
+            "no such file"
         )
     if zipfile.is_zipfile(path):
         return _stable_baselines(path), _about("stable-baselines3", path.stem, path)
@@ -64,7 +65,8 @@ def as_act(policy: Any, name: str) -> Act:
             policy = policy()
         except Exception as error:  # the class is the user's
             raise ConfigError(
-                f"{name}: the class cannot be made without arguments: {type(error).__name__}: {error}"
+                f"{name}: the class cannot be made without arguments: {type(error).__name__}: "
+                f"{error}"
             ) from error
     if hasattr(policy, "predict"):
         return lambda observation: policy.predict(observation, deterministic=True)[0]
@@ -75,7 +77,8 @@ def as_act(policy: Any, name: str) -> Act:
         call: Act = policy
         return call
     raise ConfigError(
-        f"{name}: expected something with `predict` or `act`, or a function of the observation, got {type(policy).__name__}"
+        f"{name}: expected something with `predict` or `act`, or a function of the observation, "
+        f"got {type(policy).__name__}"
     )
 
 
@@ -89,7 +92,8 @@ def _stable_baselines(path: Path) -> Act:
     with zipfile.ZipFile(path) as archive:
         if "data" not in archive.namelist():
             raise ConfigError(
-                f"{path}: expected a model of stable-baselines3, got a zip archive of {', '.join(archive.namelist()[:4])}"
+                f"{path}: expected a model of stable-baselines3, got a zip archive of "
+                f"{', '.join(archive.namelist()[:4])}"
             )
         said = json.loads(archive.read("data"))
     algorithm = next((name for key, name in ALGORITHMS if key in said), "")
@@ -99,7 +103,8 @@ def _stable_baselines(path: Path) -> Act:
         import stable_baselines3
     except ImportError as error:
         raise ConfigError(
-            f"{path}: a model of stable-baselines3 needs that package: pip install stable-baselines3"
+            f"{path}: a model of stable-baselines3 needs that package: pip install "
+            "stable-baselines3"
         ) from error
     model = getattr(stable_baselines3, algorithm).load(path, device="cpu")
     return as_act(model, str(path))

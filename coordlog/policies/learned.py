@@ -70,7 +70,8 @@ class Policy:
         """
         if state.shape[-1] != self.n_x or state.ndim > 2:
             raise SpecError(
-                f"state: expected {self.n_x} entries per row, got shape {state.shape}; this policy is of another layout"
+                f"state: expected {self.n_x} entries per row, got shape {state.shape}; this policy "
+                "is of another layout"
             )
         rows = state.reshape(-1, self.n_x)
         padded = np.zeros((-(-len(rows) // self._block) * self._block, self.n_x), np.float32)
@@ -164,7 +165,8 @@ def _layers(arrays: dict[str, Array], about: Json) -> list[tuple[Array, Array]]:
             width *= 2
     if count == 0 or not all(np.isfinite(array).all() for array in arrays.values()):
         raise FormatError(
-            "policy: expected layers of finite weights; this one is empty or comes from a run that diverged"
+            "policy: expected layers of finite weights; this one is empty or comes from a run that "
+            "diverged"
         )
     return [(arrays[f"weight.{index}"], arrays[f"bias.{index}"]) for index in range(count)]
 

@@ -5,13 +5,36 @@ The scripted expert has a module of its own.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from coordlog.contracts import Policy
 from coordlog.episode import Array
+from coordlog.errors import ConfigError
 
-CORRELATION = 0.9
-"""Of the random policy's actions from one step to the next."""
+
+@dataclass(frozen=True)
+class RandomConfig:
+    """Constants of the random policy; the table [policy] of a configuration file, logged.
+
+    Example:
+        >>> RandomConfig(sigma=0.3).correlation
+        0.9
+    """
+
+    sigma: float = 0.7
+    """Standard deviation of each action before it is clipped."""
+    correlation: float = 0.9
+    """Of the actions from one step to the next, 0 to below 1."""
+
+    def __post_init__(self) -> None:
+        if not (self.sigma >= 0 and 0 <= self.correlation < 1):
+            raise ConfigError(
+                "policy random: expected sigma ≥ 0 and a correlation in [0, 1), "
+                f"got {self.sigma} and {self.correlation}"
+            )
 
 
 class Still:
@@ -28,10 +51,17 @@ class Still:
         return np.zeros((len(ids), self._n_u), dtype=np.float32)
 
 
-class Noise:
-    """Gaussian noise with memory, one stream per slot: x ← ρ x + √(1 - ρ²) σ ξ, so σ is its
-    standard deviation at any ρ.
+def remembered(
+    before: Array, fresh: Array, correlation: float | np.floating[Any], sigma: float = 1.0
+) -> Array:
+    """The next value of noise with memory: x ← ρ x + √(1 - ρ²) σ ξ, so that σ is its standard
+    deviation at any ρ.
     """
+    return np.asarray(correlation * before + np.sqrt(1 - correlation**2) * sigma * fresh)
+
+
+class ActionNoise:
+    """Gaussian noise with memory (`remembered`), one stream per slot."""
 
     def __init__(self, n: int, n_u: int, *, sigma: float, correlation: float) -> None:
         self._sigma, self._correlation = sigma, correlation
@@ -47,9 +77,8 @@ class Noise:
     def draw(self, ids: Array) -> Array:
         """The next noise of slots `ids`, (n, n_u)."""
         fresh = np.stack([self._rng(slot).standard_normal(self._value.shape[1]) for slot in ids])
-        share = np.sqrt(1.0 - self._correlation**2) * self._sigma
         now = self._value[ids].copy()
-        self._value[ids] = self._correlation * now + share * fresh
+        self._value[ids] = remembered(now, fresh, self._correlation, self._sigma)
         return now
 
     def _rng(self, slot: int) -> np.random.Generator:
@@ -61,8 +90,9 @@ class Noise:
 class Random:
     """Temporally correlated noise and nothing else."""
 
-    def __init__(self, n: int, n_u: int, *, sigma: float = 0.7) -> None:
-        self._noise = Noise(n, n_u, sigma=sigma, correlation=CORRELATION)
+    def __init__(self, n: int, n_u: int, config: RandomConfig | None = None) -> None:
+        known = config or RandomConfig()
+        self._noise = ActionNoise(n, n_u, sigma=known.sigma, correlation=known.correlation)
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Give each slot its generator."""
@@ -83,7 +113,7 @@ class Noisy:
         self, policy: Policy, n: int, n_u: int, *, sigma: float, correlation: float = 0.0
     ) -> None:
         self._policy = policy
-        self._noise = Noise(n, n_u, sigma=sigma, correlation=correlation)
+        self._noise = ActionNoise(n, n_u, sigma=sigma, correlation=correlation)
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Start the policy and the noise, on generators of their own."""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from coordlog.episode import Json
     from coordlog.policies.learned import Origin
     from coordlog.policies.learned import Policy as Trained
+    from coordlog.policies.scripted import Constants
     from coordlog.sim.env import BatchEnv
 
 SUFFIX = ".safetensors"
@@ -29,8 +30,6 @@ KINDS = ("live",)
 """What is asked for as "pretrained:KIND": "live" has learnt from nothing but its own steps. Where
 the policy that ships for a scene is of the kind anyway, it is that one.
 """
-SHIELD = "velocity damper"
-"""What the `coordlog.policy` record calls the shield."""
 
 
 def pretrained(scene: str, kind: str = "") -> Path:
@@ -141,7 +140,11 @@ def wants_shield(name: str, scene: str) -> bool:
 
 
 def make_policy(
-    name: str, env: BatchEnv, *, shield: bool | None = None
+    name: str,
+    env: BatchEnv,
+    *,
+    shield: bool | None = None,
+    constants: Constants | None = None,
 ) -> tuple[Policy, dict[str, Any]]:
     """The policy, and its `coordlog.policy` record without noise.
 
@@ -150,25 +153,30 @@ def make_policy(
         env: Where it is to act.
         shield: Whether it acts behind a velocity damper (`coordlog.policies.damper`); None: as its
             card says.
+        constants: Of a scripted policy, and of the velocity damper.
 
     Raises:
-        ConfigError: for an unknown name, or a shield where there is nothing to be shielded from.
+        ConfigError: for an unknown name or constant, or a shield where there is nothing to be
+            shielded from.
         SpecError: if a trained policy does not fit the environment's state or action.
     """
-    from coordlog.policies.scripted import with_shield
+    from coordlog.policies.scripted import Constants, shield_said, with_shield
 
-    chosen, described = _unshielded(name, env)
+    given = constants or Constants()
+    chosen, said = _unshielded(name, env, given)
     if wants_shield(name, env.scene.name) if shield is None else shield:
-        return with_shield(chosen, env), described | {"shield": SHIELD}
-    return chosen, described
+        return with_shield(chosen, env, given.damper), said | shield_said(given.damper)
+    return chosen, said
 
 
-def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
-    from coordlog.policies.scripted import scripted
+def _unshielded(name: str, env: BatchEnv, constants: Constants) -> tuple[Policy, dict[str, Any]]:
+    from coordlog.policies.scripted import described, require_none, scripted
 
     file = policy_file(name, env.scene.name)
     if file is None:
-        return scripted(name, env), {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
+        said = {"kind": "scripted", "name": name, "checkpoint_sha256": ""}
+        return scripted(name, env, constants), said | described(name, env, constants)
+    require_none(constants, name)
     from coordlog.policies.learned import Policy as Network
 
     trained = Network.load(file)
@@ -176,15 +184,16 @@ def _unshielded(name: str, env: BatchEnv) -> tuple[Policy, dict[str, Any]]:
     for key in ("state", "action_joints"):
         if there[key] != here[key]:
             raise SpecError(
-                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in scene '{scene}'"
+                f"{file}: its {key} is not that of scene '{env.scene.name}'; it was trained in "
+                f"scene '{scene}'"
             )
     if (trained.n_x, trained.n_u) != (len(here["state"]), len(here["action_joints"])):
         raise SpecError(
             f"{file}: expected a network of {len(here['state'])} states and"
             f" {len(here['action_joints'])} actions, got {trained.n_x} and {trained.n_u}"
         )
-    said = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
-    return trained, {"kind": "digrad", "name": said, "checkpoint_sha256": _digest(file)}
+    called = str(file) if shipped_kind(name) is None else f"{PRETRAINED}/{file.stem}"
+    return trained, {"kind": "digrad", "name": called, "checkpoint_sha256": _digest(file)}
 
 
 def _digest(file: Path) -> str:

@@ -1,5 +1,5 @@
-"""Episodes that are no files of their own: members of packs, objects of a store, and what a manifest
-lists.
+"""Episodes that are no files of their own: members of packs, objects of a store, and what a
+manifest lists.
 
 Each has an address that goes wherever a path goes: `PACK/shard-000000.tar/NAME.mcap`,
 `s3://BUCKET/PREFIX/NAME.mcap`. `expand` finds them in what a user named; `fetch` gets the bytes of

@@ -59,7 +59,8 @@ class Parents:
         starts = set(logs.episodes.column("start").to_pylist())
         if len(starts) > 1:
             raise ConfigError(
-                f"--branch: expected logs of one start pose, got {', '.join(sorted(starts))}; choose with --where"
+                f"--branch: expected logs of one start pose, got {', '.join(sorted(starts))}; "
+                "choose with --where"
             )
         (self.start,) = starts
         self._parents = list(_parents(logs))

@@ -5,9 +5,8 @@ A shard is two Arrow IPC files: the steps of some episodes (memory-mapped when r
 episode with its final state, its result, what its header says and the sha256 of its file; and,
 written last, a file of their sizes and CRCs. What does not agree with its CRC is decoded anew. A
 shard's name is a digest of the episodes in it: two processes that build the same shard write the
-same files, and either may win. DIGESTS remembers the sha256 of files by path, size, mtime and
-inode: of a file that has not changed no byte is read again. A folder that others may write to is
-not used.
+same files, and either may win. A folder that others may write to is not used. Packs cannot take its
+place: they hold files, and decoding those is what is saved here.
 """
 
 from __future__ import annotations
@@ -47,8 +46,7 @@ from coordlog.spec import LEARNT, names
 SHARD = 128
 """Episodes in a shard."""
 STEPS, EPISODES, SUMS = ".steps.arrow", ".episodes.arrow", ".sums.json"
-TRIES = 3
-"""A shard that is still damaged when it was made so often is not used."""
+TRIES = 3  # a shard that is still damaged when it was made so often is not used
 Run = Callable[[Callable[[Sequence[Path]], "Built"], Sequence[Sequence[Path]]], Iterable["Built"]]
 """Maps a function over groups of files, on as many processes as it likes."""
 
@@ -70,9 +68,8 @@ class Logs:
     steps: pa.Table
     """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
     episodes: pa.Table
-    """One row per episode: state (final), length, success, clean, collided, fell, aborted, scene,
-    split, seed, index, robot, policy, noise, start, transform, returns, file, digest, and env (the
-    `coordlog.env` record as JSON)."""
+    """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record
+    as JSON), state (final), length, digest, file. The catalogue says the rest."""
     skipped: tuple[Skipped, ...]
     notes: tuple[str, ...] = ()
     """What is worth knowing about how they were read."""
@@ -124,7 +121,7 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
             tried |= {*missing}
             known = _known(place) if missing else known
             used = {known[digest][0] for digest in digests.values() if digest in known}
-            broken = [shard for shard in sorted(used) if not _sound(place, shard)]
+            broken = [shard for shard in sorted(used) if not _agrees(place, shard, STEPS)]
             if not broken:
                 break
             notes = (*notes, f"{place}: {len(broken)} damaged parts of the cache are made anew")
@@ -137,7 +134,8 @@ def load(paths: Sequence[Path], folder: Path, *, run: Run, verify: bool = False)
             first = next(iter(skipped.values()), None)
             why = f"; {first.path}: {first.reason}" if first else ""
             raise SpecError(
-                f"no logs: expected at least one finished episode to learn from, got none in {len(paths)} files{why}"
+                "no logs: expected at least one finished episode to learn from, got none in "
+                f"{len(paths)} files{why}"
             )
         logs = _gathered(place, [known[digests[path]] for path in here], tuple(skipped.values()))
     files = pa.array([str(path) for path in here])
@@ -177,44 +175,28 @@ def _trusted(folder: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
 
 def _described(part: Decoded) -> pa.Table:
     """Rows of `Logs.episodes`, without the file's name: it may change."""
-    starts = np.concatenate([[0], np.cumsum(part.finals.column("length"))[:-1]]).astype(np.int64)
-    columns = ("state", "length", "success", "clean", "terminated", "truncated", "aborted")
-    table = part.finals.select([*columns, "returns"])
-    for column, flag in (("collided", "collision"), ("fell", "instability")):
-        values = np.zeros(part.steps.num_rows, np.bool_)
-        if flag in part.steps.column_names:
-            values = part.steps.column(flag).to_numpy(zero_copy_only=False)
-        table = table.append_column(column, pa.array(np.logical_or.reduceat(values, starts)))
     rows = [_said(header) for header in part.headers]
-    described = pa.Table.from_pylist(rows, schema=_SAID)
-    for column in described.column_names:
-        table = table.append_column(column, described.column(column))
+    table = pa.Table.from_pylist(rows, schema=_SAID)
+    for name in ("state", "length"):
+        table = table.append_column(name, part.finals.column(name))
     return table.append_column("digest", pa.array(list(part.digests))).combine_chunks()
 
 
 _SAID = pa.schema(
     {
-        **dict.fromkeys(("scene", "split"), pa.string()),
+        **dict.fromkeys(("scene", "split", "robot", "start"), pa.string()),
         **dict.fromkeys(("seed", "index"), pa.int64()),
-        **dict.fromkeys(("robot", "start", "policy"), pa.string()),
-        "noise": pa.float64(),
-        **dict.fromkeys(("transform", "env"), pa.string()),
+        "env": pa.string(),
     }
 )
 
 
 def _said(header: Header) -> Json:
     """What a header says, for the columns of `_SAID`."""
-    episode, noise = header.episode, header.policy.get("noise")
-    sigma = noise.get("sigma", 0.0) if isinstance(noise, dict) else 0.0
-    row: Json = {key: _text(episode.get(key)) for key in ("scene", "split", "robot", "start")}
-    row |= {key: _whole(episode.get(key)) for key in ("seed", "index")}
-    return row | {
-        "policy": _text(header.policy.get("name")),
-        "noise": float(sigma) if isinstance(sigma, int | float) else 0.0,
-        "transform": _text(header.lineage.get("transform")),
-        "env": json.dumps(header.env),
-    }
+    about = header.episode
+    row: Json = {key: _text(about.get(key)) for key in ("scene", "split", "robot", "start")}
+    row |= {key: _whole(about.get(key)) for key in ("seed", "index")}
+    return row | {"env": json.dumps(header.env)}
 
 
 def _text(value: object) -> str:
@@ -262,11 +244,6 @@ def _agrees(folder: Path, shard: str, kind: str) -> bool:
         return False
 
 
-def _sound(folder: Path, shard: str) -> bool:
-    """Whether the steps of a shard can be learnt from."""
-    return _agrees(folder, shard, STEPS)
-
-
 def _remove(folder: Path, shards: Iterable[str]) -> None:
     """Forget some shards; the record of their sums goes first."""
     for shard in shards:
@@ -301,7 +278,8 @@ def _gathered(
             {str(name) for part in parts for name in part.episodes.column("robot").to_pylist()}
         )
         raise SpecError(
-            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one state layout at a time"
+            f"logs of several layouts (robots: {', '.join(robots)}): learn from one robot and one "
+            "state layout at a time"
         )
     return Logs(
         pa.concat_tables([part.steps for part in parts]),

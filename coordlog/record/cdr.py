@@ -1,9 +1,9 @@
 """NumPy columns ↔ CDR payloads, whole blocks of messages at once.
 
 Once a robot's lengths are known every message but Contacts has a fixed layout, so a block of
-messages is one structured array: encoding fills its columns over a template that already holds everything constant
-(encapsulation, sequence lengths, padding), decoding is one `np.frombuffer` and a comparison with
-that template. Contacts are fixed for a given count.
+messages is one structured array: encoding fills its columns over a template that already holds
+everything constant (encapsulation, sequence lengths, padding), decoding is one `np.frombuffer` and
+a comparison with that template. Contacts are fixed for a given count.
 
 Source: DDS-XTypes 1.3 §7.4.3, plain CDR version 1, little-endian: four bytes of encapsulation, then
 every value aligned to its own size, counted from the end of the encapsulation; a sequence or string
@@ -85,7 +85,8 @@ class Codec:
             row, byte = np.argwhere(differs)[0]
             at = int(self.fixed[byte])
             raise FormatError(
-                f"{self.name} message {row}: {self.label[byte]}: expected byte {self.template[at]}, got {raw[row, at]}"
+                f"{self.name} message {row}: {self.label[byte]}: expected byte "
+                f"{self.template[at]}, got {raw[row, at]}"
             )
         if self.flags.size and raw[:, self.flags].max(initial=0) > 1:
             raise FormatError(f"{self.name}: a bool is neither 0 nor 1")

@@ -337,7 +337,8 @@ def indexed(data: bytes, index: memoryview) -> tuple[int, list[bytes]]:
         raise FormatError(f"message index: {error}") from None
     if (opcode, found) != (Opcode.MESSAGE, channel):
         raise FormatError(
-            f"message index: expected a message of channel {channel} at byte {offsets[0]}, got another record"
+            f"message index: expected a message of channel {channel} at byte {offsets[0]}, got "
+            "another record"
         )
     size = RECORD_HEAD.size + length
     return channel, [data[at : at + size] for at in offsets]

@@ -1,7 +1,7 @@
 """A folder of logs as one set of episodes: sized, indexable, iterable; read when asked for.
 
-    with_clean = [episode for episode in coordlog.record.dataset.open("logs/") if
-    episode.result.clean] table = coordlog.record.dataset.open("logs/").to_table()      # pyarrow, one row per step
+    clean = [episode for episode in coordlog.open("logs/") if episode.result.clean]
+    table = coordlog.open("logs/").to_table()      # pyarrow, one row per step
 
 A file that is not a finished episode is an error that names it; with `skip_broken` it is listed in
 `skipped` instead. Part files belong to recordings in progress or interrupted: they are listed in
@@ -97,8 +97,8 @@ class Dataset(Sequence[Episode]):
                 yield episode
 
     def to_table(self) -> pa.Table:
-        """All steps of all episodes: the columns of `Header.fields`, `step`, and `episode`, the index
-        into `paths`.
+        """All steps of all episodes: the columns of `Header.fields`, `step`, and `episode`, the
+        index into `paths`.
 
         Raises:
             SpecError: if the episodes are of different robots or tasks.
@@ -184,7 +184,8 @@ class _Loaded:
             mine, its = getattr(self, name), getattr(other, name)
             if mine != its:
                 raise SpecError(
-                    f"{other.path}: expected the {name} of {self.path.name}, {mine}, got {its}; open them as separate sets"
+                    f"{other.path}: expected the {name} of {self.path.name}, {mine}, got {its}; "
+                    "open them as separate sets"
                 )
 
 

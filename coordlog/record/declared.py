@@ -139,6 +139,9 @@ POLICY: dict[str, Rule] = {
     "name": TEXT,
     "checkpoint_sha256": TEXT,
     "noise": MAPPING,
+    "constants": Rule("an object", lambda value: isinstance(value, dict), required=False),
+    "shield": Rule("text", _is_text, required=False),
+    "damper": Rule("an object", lambda value: isinstance(value, dict), required=False),
 }
 LINEAGE: dict[str, Rule] = {"parents": TEXTS, "transform": TEXT, "parameters": MAPPING}
 RESULT: dict[str, Rule] = {

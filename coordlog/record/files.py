@@ -57,16 +57,6 @@ class Files(NamedTuple):
             f"{part}: unfinished; `coordlog recover` makes an episode of it" for part in self.parts
         ]
 
-    def joined(self, other: Files) -> Files:
-        """These files and others."""
-        counts = Counter(dict(self.others)) + Counter(dict(other.others))
-        return Files(
-            self.paths + other.paths,
-            self.parts + other.parts,
-            self.skipped + other.skipped,
-            tuple(sorted(counts.items())),
-        )
-
 
 def find_files(path_or_paths: File | Iterable[File]) -> Files:
     """The episode files that are named, or lie in the folders that are named, at any depth.

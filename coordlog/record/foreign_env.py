@@ -14,8 +14,10 @@ from coordlog.errors import ConfigError, SpecError
 from coordlog.mjcf import load_attached, same_physics, text_of
 
 VECTORISED = (
-    "{}: several environments in one, whose simulations cannot be told apart or are in other processes: "
-    "use gymnasium.vector.SyncVectorEnv, of which each environment is recorded, or record each by itself"
+    "{}: several environments in one, whose simulations cannot be told apart or are in other "
+    "processes: "
+    "use gymnasium.vector.SyncVectorEnv, of which each environment is recorded, or record each by "
+    "itself"
 )
 
 REMEMBERED = 8
@@ -48,7 +50,8 @@ def attachments_of(model: mujoco.MjModel, source: Path | str | None = None) -> d
     del _seen[REMEMBERED:]
     if not attached:
         raise ConfigError(
-            "the text that the model was compiled from is not known, or compiles to other physics: give it as `source`, a path or MJCF text"
+            "the text that the model was compiled from is not known, or compiles to other "
+            "physics: give it as `source`, a path or MJCF text"
         )
     return attached
 
@@ -79,7 +82,8 @@ def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
         if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
             return model, data
     raise ConfigError(
-        f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` (or `physics`, or `sim`), found neither"
+        f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` "
+        "(or `physics`, or `sim`), found neither"
     )
 
 
@@ -137,7 +141,8 @@ def after(env: Any, given: Any) -> Given:
     else:
         got = f"{len(given)} values" if isinstance(given, tuple) else f"a {type(given).__name__}"
         raise SpecError(
-            f"step: expected observation, reward, terminated, truncated, info as of Gymnasium, got {got}"
+            "step: expected observation, reward, terminated, truncated, info as of Gymnasium, got "
+            f"{got}"
         )
     if np.size(found.terminated) != 1 or np.size(found.truncated) != 1:
         raise SpecError(VECTORISED.format(type(env).__name__))

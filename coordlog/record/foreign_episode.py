@@ -138,14 +138,16 @@ class EpisodeLog:
         wanted = [name for name in self._like if name.startswith("info_")]
         if missing := [name for name in wanted if name not in said]:
             raise SpecError(
-                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} is missing"
+                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} "
+                "is missing"
             )
         row |= {name: said[name].astype(self._like[name][0]) for name in wanted}
         for values in (row, seen):
             for name, value in values.items():
                 if value.shape != self._like.get(name, (None, None))[1]:
                     raise SpecError(
-                        f"{name}: expected {count(self._like.get(name))} as before, got {value.size}"
+                        f"{name}: expected {count(self._like.get(name))} as before, got "
+                        f"{value.size}"
                     )
                 if value.dtype.kind == "f" and not np.isfinite(value).all():
                     raise SpecError(f"{name}: expected numbers, got NaN or infinity")

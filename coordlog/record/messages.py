@@ -74,7 +74,8 @@ def log_times(start_time: int, time: Array, *, after: int = -1) -> Array:
     if ns[0] <= after or (ns[1:] <= ns[:-1]).any():
         early = np.diff(ns, prepend=after) <= 0
         raise SpecError(
-            f"time: expected strictly increasing seconds, got {time[early][0]} after one that is not smaller"
+            f"time: expected strictly increasing seconds, got {time[early][0]} after one that is "
+            "not smaller"
         )
     return ns.astype(np.uint64)
 
@@ -321,7 +322,8 @@ def decode_contacts(stream: Stream, layout: Layout) -> Array:
     for count, group in groups.items():
         if count * 44 > len(group[0]):  # 44 bytes a contact
             raise FormatError(
-                f"{CONTACTS.name}: {count} contacts do not fit into a message of {len(group[0])} bytes"
+                f"{CONTACTS.name}: {count} contacts do not fit into a message of {len(group[0])} "
+                "bytes"
             )
         columns = decode(message_codec(CONTACTS, layout, count), group)[1]
         rows = np.empty((len(group), count), CONTACT)

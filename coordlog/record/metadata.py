@@ -58,7 +58,8 @@ def _encode_value(key: str, value: Any) -> str:
         return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
     except (TypeError, ValueError) as error:
         raise SpecError(
-            f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: {error}"
+            f"metadata '{key}': expected a value that JSON can hold, got {type(value).__name__}: "
+            f"{error}"
         ) from None
 
 
@@ -253,6 +254,9 @@ def vouched(records: Mapping[str, Strings]) -> Json:
     declared.require(values, declared.COMMIT, RESULT)
     if strings.pop("seal") != digest(strings):
         raise FormatError(f"metadata {RESULT}: the record is damaged: its seal is another")
+    for name in HEADER_RECORDS:
+        if name not in values["metadata"]:
+            raise FormatError(f"metadata {RESULT}: it does not vouch for {name}")
     for name, wanted in values["metadata"].items():
         if name not in records:
             raise FormatError(f"metadata {name} missing: the commit marker names it")

@@ -225,10 +225,14 @@ def verify_summary(summary: memoryview) -> None:
     got = zlib.crc32(summary[: len(summary) - len(MAGIC) - 4])
     if crc != got:
         raise FormatError(
-            f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog recover` rewrites the file"
+            f"summary: expected CRC {crc:08x}, got {got:08x}; the steps may be intact: `coordlog "
+            "recover` rewrites the file"
         )
 
 
 def no_marker(size: int) -> str:
     """What to say about an unfinished file."""
-    return f"ends after {size} bytes without its commit marker; recover what is complete with `coordlog recover`"
+    return (
+        f"ends after {size} bytes without its commit marker; recover what is complete with "
+        "`coordlog recover`"
+    )

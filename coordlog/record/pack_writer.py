@@ -1,4 +1,4 @@
-"""Writing packs: episode files appended to shards on this machine; see `packs` for what those are."""
+"""Writing packs: episode files appended to shards on this machine (what those are: `packs`)."""
 
 from __future__ import annotations
 

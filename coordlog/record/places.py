@@ -41,7 +41,7 @@ class Place(Protocol):
     address: str
 
     def entries(self, below: str = "") -> list[Entry]:
-        """Files that lie directly in a folder of it, by name; none where there is no such folder."""
+        """Files that lie directly in a folder of it, by name; none where there is no such one."""
 
     def entry(self, name: str) -> Entry | None:
         """One file; None if there is none."""
@@ -182,7 +182,8 @@ def require_folder(path: str | os.PathLike[str], option: str = "--out") -> None:
         ConfigError: if the path is an address of one.
     """
     if is_url(path):
+        got = "://".join(split_url(path))
         raise ConfigError(
-            f"{option}: expected a folder of this machine, got {os.fspath(path)}; only `coordlog"
-            " record` writes into an object store"
+            f"{option}: expected a folder of this machine, got {got}; only `coordlog record` writes"
+            " into an object store"
         )

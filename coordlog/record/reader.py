@@ -7,7 +7,7 @@ episode is refused in one sentence that says what it is instead.
 
 What is handed out has been vouched for: the metadata by the digests of the commit marker (of
 version 1 by the CRC of the data section), the messages by the CRCs of their chunks or, where
-another tool left those out, of the commit marker.
+another tool wrote those, of the commit marker.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ def read_result(path: File) -> Result:
 
 def read_summary(path: File) -> Summary:
     """Header, result and size of a finished episode, from a few small reads at both ends of the
-    file; vouched for by the commit marker (a file of version 1 is read whole, for its CRC).
+    file; vouched for by the commit marker (a file of version 1 is read whole, for its CRC, and one
+    that another tool wrote is decoded whole).
 
     Raises:
         TruncatedError: if there is no commit marker.
@@ -134,6 +135,8 @@ def _ends(fd: int) -> tuple[Records, int]:
         if own:
             start = summary_start(data[-TAIL_SIZE:], size)
             verify_summary(memoryview(data)[start:])
+        elif RESULT in records:  # its ends say nothing of what another tool left between them
+            decode(contents(data))
     require_header(records)
     require_version(records[EPISODE])
     if RESULT not in records:

@@ -233,7 +233,10 @@ class Recorder:
             if outcome.diverged[row]:
                 self._end(
                     slot,
-                    aborted=f"diverged: the state is no number after step {self._env.simulation.steps[slot] - 1}",
+                    aborted=(
+                        "diverged: the state is no number after step "
+                        f"{self._env.simulation.steps[slot] - 1}"
+                    ),
                     before=True,
                 )
             elif outcome.terminated[row] or outcome.truncated[row]:

@@ -19,7 +19,7 @@ from coordlog.tasks.registry import task_of
 
 
 def task_here(header: Header) -> Task | None:
-    """The task of a log; None where it is not installed, or its constants are not such as it knows."""
+    """The task of a log; None where it is not installed, or does not know its constants."""
     if not header.task:
         return None
     said = {key: header.env.get(key) for key in ("task", "config", "reward")}

@@ -276,7 +276,8 @@ def _validate_contacts(contacts: Array, first: int, stop: int) -> None:
     steps = contacts["step"]
     if len(steps) and (steps[0] < first or steps[-1] >= stop or (np.diff(steps) < 0).any()):
         raise SpecError(
-            f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to {steps.max()}"
+            f"contacts: expected steps {first} to {stop - 1} in order, got {steps.min()} to "
+            f"{steps.max()}"
         )
 
 
@@ -309,10 +310,11 @@ def write_episode(
     attachments: Mapping[str, bytes],
     display: bool,
     shown: Shown | None = None,
+    block: int = BLOCK,
 ) -> Result:
     """Write an episode that is in memory; its `result` is computed anew but for `aborted`.
 
-    Arguments as of `EpisodeWriter`.
+    Arguments as of `EpisodeWriter`, and `block`, the steps of a chunk.
 
     Raises:
         StorageError: if the file exists or cannot be written; a part file that was begun stays.
@@ -320,8 +322,8 @@ def write_episode(
     with EpisodeWriter(
         path, episode.header, attachments=attachments, display=display, shown=shown
     ) as writer:
-        for first in range(0, len(episode), BLOCK):
-            stop = min(first + BLOCK, len(episode))
+        for first in range(0, len(episode), block):
+            stop = min(first + block, len(episode))
             columns = {name: values[first:stop] for name, values in episode.columns.items()}
             low, high = np.searchsorted(episode.contacts["step"], (first, stop))
             inputs = _inputs_between(episode.inputs, first, stop)

@@ -19,8 +19,10 @@ FAN = 0.9
 
 def _link(name: str, inner: str, *, at: float, turned: float = 0.0, limit: float = 2.0) -> str:
     return (
-        f'<body name="{name}" pos="{at:g} 0 0" euler="0 0 {turned:g}"><joint name="{name}" axis="0 0 1" range="{-limit:g} {limit:g}"/>'
-        f'<geom name="{name}_0" type="capsule" fromto="0 0 0 {LENGTH:g} 0 0" size="0.008"/>{inner}</body>'
+        f'<body name="{name}" pos="{at:g} 0 0" euler="0 0 {turned:g}"><joint name="{name}" axis="0 '
+        f'0 1" range="{-limit:g} {limit:g}"/>'
+        f'<geom name="{name}_0" type="capsule" fromto="0 0 0 {LENGTH:g} 0 0" '
+        f'size="0.008"/>{inner}</body>'
     )
 
 
@@ -40,7 +42,8 @@ def mjcf() -> str:
     return (
         '<mujoco model="planar">\n<compiler angle="radian" autolimits="true"/>\n'
         '<option timestep="0.004" integrator="implicitfast" gravity="0 0 0"/>\n'
-        # The links may pass over one another: they lie in different planes in the paper's drawing, so nothing collides.
+        # The links may pass over one another: they lie in different planes in the paper's drawing,
+        # so nothing collides.
         '<default><joint damping="0.05" armature="0.001"/>'
         '<geom mass="0.05" contype="0" conaffinity="0" rgba="0.26 0.52 0.80 1"/></default>\n'
         f"<worldbody>\n{tree}\n</worldbody>\n<actuator>{servos}</actuator>\n</mujoco>\n"

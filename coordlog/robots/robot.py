@@ -88,7 +88,8 @@ class Robot:
         joints = self.action_joints
         if len(set(joints)) != len(joints):
             raise ConfigError(
-                f"robot '{self.name}': a joint belongs to one arm or is shared by all, got twice: {joints}"
+                f"robot '{self.name}': a joint belongs to one arm or is shared by all, got twice: "
+                f"{joints}"
             )
         if self.soles and not self.torso:
             raise ConfigError(
@@ -107,15 +108,18 @@ class Robot:
         for joint, (low, high) in self.ranges.items():
             if low >= high:
                 raise ConfigError(
-                    f"robot '{self.name}': expected ranges['{joint}'] as (low, high), got ({low:g}, {high:g})"
+                    f"robot '{self.name}': expected ranges['{joint}'] as (low, high), got "
+                    f"({low:g}, {high:g})"
                 )
         if any(kp <= 0 or kv < 0 for kp, kv in self.servo_gains.values()):
             raise ConfigError(
-                f"robot '{self.name}': expected servo_gains (kp, kv) with kp > 0 and kv >= 0, got {dict(self.servo_gains)}"
+                f"robot '{self.name}': expected servo_gains (kp, kv) with kp > 0 and kv >= 0, got "
+                f"{dict(self.servo_gains)}"
             )
         if "stand" not in self.poses:
             raise ConfigError(
-                f"robot '{self.name}': expected a start pose called 'stand', got {sorted(self.poses)}"
+                f"robot '{self.name}': expected a start pose called 'stand', got "
+                f"{sorted(self.poses)}"
             )
 
     def _numbers(self) -> Iterator[tuple[str, Any]]:
@@ -127,7 +131,8 @@ class Robot:
             for name, pair in getattr(self, table).items():
                 if not isinstance(pair, tuple | list) or len(pair) != 2:
                     raise ConfigError(
-                        f"robot '{self.name}': expected two numbers as {table}['{name}'], got {pair!r}"
+                        f"robot '{self.name}': expected two numbers as {table}['{name}'], got "
+                        f"{pair!r}"
                     )
                 yield from ((f"{table}['{name}']", value) for value in pair)
         yield from (("centre", value) for value in self.centre)

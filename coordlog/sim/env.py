@@ -151,8 +151,10 @@ class BatchEnv:
         away = float(np.abs(self.simulation.state[sim] - branch.state).max())
         if not away <= SAME:
             raise SimulationError(
-                f"episode {branch.parent[:12]}: its first {len(branch.actions)} actions do not lead here to where they led when it was "
-                f"recorded (the state differs by {away:.2g}): expected the same environment and the same MuJoCo"
+                f"episode {branch.parent[:12]}: its first {len(branch.actions)} actions do not "
+                "lead here to where they led when it was "
+                f"recorded (the state differs by {away:.2g}): expected the same environment and "
+                "the same MuJoCo"
             )
         self.physics.rows[sim, 0] = 0.0  # time
         track = None if problem.track is None else problem.track[len(branch.actions) :]

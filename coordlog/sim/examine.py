@@ -54,7 +54,8 @@ def examine(
         "is not held" in said for said in wrong
     )  # what touches after a fall says nothing
     wrong += [
-        f"in its start pose {names[one]} touches {names[other]}: every episode would begin with a collision; "
+        f"in its start pose {names[one]} touches {names[other]}: every episode would begin with a "
+        "collision; "
         "choose another pose, or exclude their bodies"
         for one, other in rest.touching * held
     ]
@@ -120,4 +121,7 @@ def scarce(env: BatchEnv) -> str:
     share = tally[FEASIBLE] / max(sum(tally.values()), 1)
     if share >= SCARCE or not tally:
         return ""
-    return f"only {share:.1%} of {sum(tally.values())} draws were feasible; the others: {env.draw.reasons()}"
+    return (
+        f"only {share:.1%} of {sum(tally.values())} draws were feasible; the others: "
+        f"{env.draw.reasons()}"
+    )

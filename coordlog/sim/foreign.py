@@ -180,7 +180,8 @@ class Shadow:
         now, motion = self.row, self._parts.motion
         if end[0] < now[0]:
             raise SimulationError(
-                f"time went back from {now[0]:g} s to {end[0]:g} s within an episode: expected an environment that is reset "
+                f"time went back from {now[0]:g} s to {end[0]:g} s within an episode: expected an "
+                "environment that is reset "
                 "by reset() alone"
             )
         if end[0] == now[0]:
@@ -224,8 +225,10 @@ class Shadow:
             where = self._parts.motion & (self.row != end)
             first = int(np.flatnonzero(where)[0])
             raise SimulationError(
-                f"{1 - share:.0%} of the state after it is not what the physics makes of the state before it (entry {first}: "
-                f"{self.row[first]:.9g} simulated again, {end[first]:.9g} there): something else moves this simulation, or its model "
+                f"{1 - share:.0%} of the state after it is not what the physics makes of the state "
+                f"before it (entry {first}: "
+                f"{self.row[first]:.9g} simulated again, {end[first]:.9g} there): something else "
+                "moves this simulation, or its model "
                 "is not as it was when the recording began"
             )
         changes = [change for change in found.changes if change.substep < found.substeps]

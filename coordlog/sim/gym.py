@@ -159,7 +159,8 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         action = np.asarray(action, dtype=np.float32)
         if action.shape != self.action_space.shape or not np.isfinite(action).all():
             raise SpecError(
-                f"action: expected {self.action_space.shape} numbers in [-1, 1], got shape {action.shape}: {action}"
+                f"action: expected {self.action_space.shape} numbers in [-1, 1], got shape "
+                f"{action.shape}: {action}"
             )
         outcome = self._env.step(np.clip(action, -1.0, 1.0)[None], ONE)
         info = self._info(outcome)
@@ -280,7 +281,8 @@ class GymEnv(gymnasium.Env[Observation, Array]):
         for item in infos:
             if "collision" not in item:
                 raise SpecError(
-                    "info: expected the one that step() returned, got one without 'collision' (HerReplayBuffer: copy_info_dict=True)"
+                    "info: expected the one that step() returned, got one without 'collision' "
+                    "(HerReplayBuffer: copy_info_dict=True)"
                 )
         points = (*achieved.shape[:-1], -1, 3)
         distance = distances(achieved.reshape(points), desired.reshape(points))

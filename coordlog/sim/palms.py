@@ -67,14 +67,17 @@ def arms_of(
     if missing:
         sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
         raise ConfigError(
-            f"robot '{name}': expected a site or a body called '{missing[0]}' as a palm, found none; "
-            f"it has the sites {', '.join(sites) or '(none)'} and the bodies {', '.join(body_names(model))}"
+            f"robot '{name}': expected a site or a body called '{missing[0]}' as a palm, found "
+            "none; "
+            f"it has the sites {', '.join(sites) or '(none)'} and the bodies "
+            f"{', '.join(body_names(model))}"
         )
     chains = [_driven(model, bearer(model, palm), notes) for palm in palms]
     for palm, joints in zip(palms, chains, strict=True):
         if not joints:
             raise ConfigError(
-                f"robot '{name}': its palm '{palm}' is moved by no hinge or slide: expected one at an arm's end"
+                f"robot '{name}': its palm '{palm}' is moved by no hinge or slide: expected one at "
+                "an arm's end"
             )
     shared = [j for j in chains[0] if all(j in other for other in chains)] if len(palms) > 1 else []
     arms = []
@@ -111,7 +114,8 @@ def guess(model: mujoco.MjModel, notes: list[str]) -> list[str]:
     arms = [end for end in arms if _own(model, end, arms) >= min(ARM_JOINTS, _most(model, arms))]
     if not arms:
         raise ConfigError(
-            f"no arm found in the model: name its palms, sites or bodies, with --palm; its bodies are {', '.join(body_names(model))}"
+            "no arm found in the model: name its palms, sites or bodies, with --palm; its bodies "
+            f"are {', '.join(body_names(model))}"
         )
     found = [_site(model, end) for end in arms]
     notes.append(f"palms guessed: {', '.join(found)}; name others with --palm")

@@ -119,7 +119,8 @@ class Physics:
                 own); None for `model`.
             resting: Pairs of geoms whose contacts are none, because they lie against one another.
         """
-        # Loaded late: with it MuJoCo forgets the model that it compiled last, and with that the text
+        # Loaded late: with it MuJoCo forgets the model that it compiled last, and with that the
+        # text
         # of an environment that is about to be recorded.
         from mujoco.batch import Batch, SimulationError
 
@@ -193,7 +194,8 @@ class Physics:
                 substeps.
         """
         records = self._run(ids, before, after, substeps)
-        # A record made after a substep counts the contacts of the state before it: the first is last step's, the last is missing.
+        # A record made after a substep counts the contacts of the state before it: the first is
+        # last step's, the last is missing.
         touching = np.empty((len(ids), substeps), dtype=np.int64)
         foreign = self._counting.foreign
         touching[:, :-1] = foreign(*(records[name][:, 1:] for name in COUNTERS))

@@ -364,6 +364,7 @@ def _open(
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, canvas)
     except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
         raise SimulationError(
-            f"pictures: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and libgl1-mesa-dri) or set MUJOCO_GL"
+            f"pictures: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and "
+            "libgl1-mesa-dri) or set MUJOCO_GL"
         ) from error
     return context, canvas

@@ -68,7 +68,10 @@ def exact_here(header: Header) -> str:
     return (
         ""
         if wanted == here
-        else f"recorded with MuJoCo {wanted[0]} on {wanted[1]}, replayed with MuJoCo {here[0]} on {here[1]}"
+        else (
+            f"recorded with MuJoCo {wanted[0]} on {wanted[1]}, replayed with MuJoCo {here[0]} on "
+            f"{here[1]}"
+        )
     )
 
 

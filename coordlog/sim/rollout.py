@@ -78,7 +78,8 @@ def rollout(
         action = np.asarray(policy.act(running, env.state[running]), dtype=np.float32)
         if not np.isfinite(action).all():
             raise SpecError(
-                f"action: expected numbers in [-1, 1] from policy {type(policy).__name__}, got NaN or infinity"
+                f"action: expected numbers in [-1, 1] from policy {type(policy).__name__}, got NaN "
+                "or infinity"
             )
         outcome = env.step(np.clip(action, -1.0, 1.0), running)
         yield running, outcome

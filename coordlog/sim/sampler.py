@@ -126,7 +126,8 @@ class Draw:
             drawn = (sample.goals, sample.centre, spheres, angles)
             return Problem(seed, split, index, *drawn, track=sample.track)
         raise SimulationError(
-            f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, episode {index}): {self.reasons()}"
+            f"scene '{self._scene.name}': no feasible problem in {attempt} draws (seed {seed}, "
+            f"episode {index}): {self.reasons()}"
         )
 
     def reasons(self) -> str:
@@ -194,7 +195,10 @@ class Draw:
                 return "a goal lies inside or beside a sphere"
         if self.reach.touches(angles, clearance=CLEARANCE):
             one, other = (self._model.geom(geom).name or f"geom {geom}" for geom in self.reach.met)
-            return f"the start pose touches: {one} and {other}, or an obstacle is within {CLEARANCE * 100:g} cm of it"
+            return (
+                f"the start pose touches: {one} and {other}, or an obstacle is within "
+                f"{CLEARANCE * 100:g} cm of it"
+            )
         if sample.reachable or self.reach.solve(goals) is not None:
             return ""
         if any(self.reach.descend(goals, seed) is not None for seed in self.reach.seeds):

@@ -46,8 +46,8 @@ class Scoreboard:
     def __init__(self, n: int, k: int) -> None:
         self.scores: list[Score] = []
         self.touches: Counter[tuple[int, int]] = Counter()
-        """Pairs of geom ids that touched first in an episode, and in how many. Of several within one
-        control step, the one that was deepest first.
+        """Pairs of geom ids that touched first in an episode, and in how many. Of several within
+        one control step, the one that was deepest first.
         """
         self._length = np.zeros(n, dtype=np.int64)
         self._collided = np.zeros(n, dtype=bool)

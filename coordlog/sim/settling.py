@@ -80,12 +80,14 @@ def _pose(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, pose: str) -
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if joint < 0:
             raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model lacks"
+                f"robot '{robot.name}': its pose '{pose}' names a joint '{name}' that its model "
+                "lacks"
             )
         low, high = model.jnt_range[joint]
         if model.jnt_limited[joint] and not low <= angle <= high:
             raise ConfigError(
-                f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its range {low:g} to {high:g}"
+                f"robot '{robot.name}': its pose '{pose}' has {name} at {angle:g} rad, outside its "
+                f"range {low:g} to {high:g}"
             )
         data.qpos[model.jnt_qposadr[joint]] = angle
 
@@ -128,7 +130,8 @@ def _base(robot: Robot, model: mujoco.MjModel) -> list[str]:
     free = [joint for joint in palm if model.jnt_type[joint] == FREE]
     if free and not robot.soles and model.opt.gravity.any():
         return [
-            "it has a free base and no soles, so it would fall: name the geoms it stands on as soles, "
+            "it has a free base and no soles, so it would fall: name the geoms it stands on as "
+            "soles, "
             "or take the free joint out"
         ]
     return []
@@ -144,20 +147,23 @@ def _tree(robot: Robot, model: mujoco.MjModel) -> list[str]:
         idle = [name for name in arm.joints if name not in movers]
         if idle:
             said.append(
-                f"palm '{arm.palm}' of arm '{arm.name}' is not moved by {_list(idle)}, which the arm names as its own: "
+                f"palm '{arm.palm}' of arm '{arm.name}' is not moved by {_list(idle)}, which the "
+                "arm names as its own: "
                 "expected a palm at the arm's end"
             )
         for other in robot.arms:
             strange = [name for name in other.joints if name in movers and other is not arm]
             if strange:
                 said.append(
-                    f"palm '{arm.palm}' of arm '{arm.name}' is moved by {_list(strange)} of arm '{other.name}': "
+                    f"palm '{arm.palm}' of arm '{arm.name}' is moved by {_list(strange)} of arm "
+                    f"'{other.name}': "
                     "a joint that moves several palms is shared"
                 )
         apart = [name for name in robot.shared if name not in movers]
         if apart:
             said.append(
-                f"palm '{arm.palm}' of arm '{arm.name}' is not moved by {_list(apart)}, which the robot names as shared by all"
+                f"palm '{arm.palm}' of arm '{arm.name}' is not moved by {_list(apart)}, which the "
+                "robot names as shared by all"
             )
     return said
 
@@ -176,8 +182,10 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
         turned = 2.0 * float(np.arccos(min(1.0, same)))
         if sunk > SUNK or turned > LEANT:
             return [
-                f"pose '{pose}' is not held: after {SETTLE_SECONDS:g} s the base is {sunk * 100:.0f} cm lower and has "
-                f"turned by {np.degrees(turned):.0f}°: expected a robot that stands; stiffen its servos or choose another pose"
+                f"pose '{pose}' is not held: after {SETTLE_SECONDS:g} s the base is "
+                f"{sunk * 100:.0f} cm lower and has "
+                f"turned by {np.degrees(turned):.0f}°: expected a robot that stands; stiffen its "
+                "servos or choose another pose"
             ]
     speed = np.abs(rest.row[1 + model.nq : 1 + model.nq + model.nv])
     named = set(robot.action_joints)
@@ -187,7 +195,8 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
         last = first + (3 if model.jnt_type[joint] == BALL else 1)
         if name not in named and (speed[first:last] > MOVING).any():
             said.append(
-                f"pose '{pose}' is not held: joint '{name}', which carries a palm and is not of the action, still moves after "
+                f"pose '{pose}' is not held: joint '{name}', which carries a palm and is not of "
+                "the action, still moves after "
                 f"{SETTLE_SECONDS:g} s; give it a servo, or take it out"
             )
     for name in robot.action_joints:
@@ -196,8 +205,10 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
             slide = model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
             unit = "m" if slide else "rad"
             said.append(
-                f"pose '{pose}' is not held: joint '{name}' was asked to be at {rest.asked[at]:.3f} {unit} and came to rest "
-                f"at {qpos[at]:.3f} {unit}; {_tied(model, name)}stiffen its servo or choose another pose"
+                f"pose '{pose}' is not held: joint '{name}' was asked to be at "
+                f"{rest.asked[at]:.3f} {unit} and came to rest "
+                f"at {qpos[at]:.3f} {unit}; {_tied(model, name)}stiffen its servo or choose "
+                "another pose"
             )
     return said
 
@@ -228,7 +239,8 @@ def doubts(robot: Robot, model: mujoco.MjModel) -> list[str]:
     carried = [bool(moving(model, int(body)) & action) for body in model.geom_bodyid]
     if not (solid & carried).any():
         said.append(
-            "no geom on a link that the action moves collides with anything (contype and conaffinity are 0, or there is none): "
+            "no geom on a link that the action moves collides with anything (contype and "
+            "conaffinity are 0, or there is none): "
             "no collision can be seen, and clean means nothing but success"
         )
     else:

@@ -57,7 +57,8 @@ class BoundTask:
             self._palms = self._sensors([palm_sensor(arm.name) for arm in robot.arms])
         except KeyError as error:
             raise ConfigError(
-                f"robot '{robot.name}': its spec names something its model lacks: {str(error).splitlines()[0]}"
+                f"robot '{robot.name}': its spec names something its model lacks: "
+                f"{str(error).splitlines()[0]}"
             ) from error
         self.n_spheres = 0
         while mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, sphere_geom(self.n_spheres)) >= 0:
@@ -74,7 +75,8 @@ class BoundTask:
         for name, (low, high) in zip(robot.action_joints, self.limits, strict=True):
             if not low < high:
                 raise ConfigError(
-                    f"robot '{robot.name}': expected a range for joint '{name}', which the action moves; its model has none"
+                    f"robot '{robot.name}': expected a range for joint '{name}', which the action "
+                    "moves; its model has none"
                 )
         for name in config.locked:
             if name not in robot.action_joints:

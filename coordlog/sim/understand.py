@@ -120,7 +120,8 @@ def _gains(
         )
         gains[model.joint(joint).name] = (float(f"{kp:.3g}"), float(f"{kv:.3g}"))
     notes.append(
-        f"{len(gains)} joints have a motor or no actuator and get position servos with guessed gains: see [servo_gains]"
+        f"{len(gains)} joints have a motor or no actuator and get position servos with guessed "
+        "gains: see [servo_gains]"
     )
     return gains
 

@@ -62,7 +62,8 @@ def smooth_logs(
     processes: int | str = 0,
     monitor: Monitor | None = None,
 ) -> Json:
-    """Smooth every episode of some logs, in the order of their names, and report (`report.summary`).
+    """Smooth every episode of some logs, in the order of their names, and report
+    (`report.summary`).
 
     Args:
         paths: Episode files, or folders that are searched at any depth.

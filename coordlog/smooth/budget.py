@@ -101,7 +101,8 @@ class CountedChecker:
         got, reach = np.shape(slack), np.shape(self.reach)
         if len(reach) != 2 or reach[1] != n_j or got != (n, reach[0]):
             raise SpecError(
-                f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got {got} and {reach}"
+                f"checker: expected slack of shape ({n}, P) and reach of shape (P, {n_j}), got "
+                f"{got} and {reach}"
             )
         return _short(time, slack)
 
@@ -113,7 +114,8 @@ class CountedChecker:
 def _expect(verdict: Verdict, n: int, name: str) -> None:
     if any(np.shape(part) != (n,) for part in verdict):
         raise SpecError(
-            f"checker.{name}: expected three arrays of shape ({n},), got {[np.shape(part) for part in verdict]}"
+            f"checker.{name}: expected three arrays of shape ({n},), got "
+            f"{[np.shape(part) for part in verdict]}"
         )
 
 

@@ -17,8 +17,10 @@ from coordlog.smooth.times import spacing
 from coordlog.smooth.violations import NONE, Kind, Violations, violations
 
 _WIDEST = 8  # knots in a stretch at first: far from everything a smooth path needs no more
-_FINEST = 1e-4  # knots: a path so close to trouble that an answer covers less than this counts as unproven
-_SHORT = 16  # times the finest: only in stretches this short, for in longer ones it is the bound that is coarse
+# knots: a path so close to trouble that an answer covers less than this counts as unproven
+_FINEST = 1e-4
+# times the finest: only in stretches this short, for in longer ones it is the bound that is coarse
+_SHORT = 16
 
 
 def certify(

@@ -34,9 +34,9 @@ class Config:
     clearance: float = 0.0
     """Distance that bodies must keep [m]."""
     ends: str = "auto"
-    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), natural (free, without
-    bending). auto: natural for the paper's method, rest for the
-    others. The end points themselves are always exact."""
+    """Slope at the ends: rest (zero), soft (zero, and no acceleration either), natural (free,
+    without bending). auto: natural for the paper's method, rest for the others. The end points
+    themselves are always exact."""
     dense: int | None = None
     """Samples per knot at which a path is checked; 1: the knots alone. None: 4 where they are all
     there is, 2 beside a certificate, which sees everything between them and only shares no code

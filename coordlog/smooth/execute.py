@@ -156,13 +156,19 @@ def worse(ran: Run, episode: Episode) -> str:
     if ran.diverged:
         return "makes the physics diverge"
     if columns["instability"].any() and not episode.instability.any():
-        return f"loses its balance at {columns['time'][int(columns['instability'].argmax())]:.2f} s, which the log does not"
+        return (
+            f"loses its balance at {columns['time'][int(columns['instability'].argmax())]:.2f} s, "
+            "which the log does not"
+        )
     if columns["collision"].any():
         step, names = int(columns["collision"].argmax()), episode.header.env["geoms"]
         deepest = ran.contacts[ran.contacts["depth"].argmax()]
         pair = f"{names[deepest['geom1']]} and {names[deepest['geom2']]}"
         if not episode.collision.any():
-            return f"collides at {columns['time'][step]:.2f} s ({pair}, {deepest['depth'] * 1e3:.1f} mm deep), which the log does not"
+            return (
+                f"collides at {columns['time'][step]:.2f} s ({pair}, {deepest['depth'] * 1e3:.1f} "
+                "mm deep), which the log does not"
+            )
         if (
             deepest["depth"] > episode.contacts["depth"].max() + DEEPER
             or columns["collision"].sum() > episode.collision.sum()
@@ -170,7 +176,10 @@ def worse(ran: Run, episode: Episode) -> str:
             return f"collides more than the log does ({pair}, {deepest['depth'] * 1e3:.1f} mm deep)"
     if episode.result.success and not columns["goal"][-1].all():
         nearest = columns["distance"][-1].max()
-        return f"no longer reaches the goal, which the log does (a palm ends {nearest * 1e3:.1f} mm from it)"
+        return (
+            f"no longer reaches the goal, which the log does (a palm ends {nearest * 1e3:.1f} mm "
+            "from it)"
+        )
     return ""
 
 

@@ -5,7 +5,7 @@ and decides what is allowed; `slack`, `reach` and `drift` let the certificate pr
 between samples. Nothing here knows physics: MuJoCo, another engine or ten lines of NumPy serve
 alike.
 
-    class Corridor:                                   # two joints, kept within 1 rad of zero, both together within 1.5
+    class Corridor:                                   # two joints within 1 rad of zero
         reach = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
         def slack(self, time, q, clearance):

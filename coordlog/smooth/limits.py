@@ -170,7 +170,7 @@ def _extremum(quadratic: Floats, h: Floats) -> tuple[Floats, Floats]:
 
 
 def _over(kind: Kind, spline: Path, x: Floats, size: Floats, limit: Floats) -> Violations:
-    """Violations where `size` (n - 1, n_j), reached x seconds into the stretch, exceeds its limit."""
+    """Violations where `size` (n - 1, n_j), reached x seconds into the stretch, is too large."""
     piece, joint = np.nonzero(size > limit * (1.0 + 1e-9))
     return violations(
         kind, spline.time[piece] + x[piece, joint], size[piece, joint] - limit[joint], joint

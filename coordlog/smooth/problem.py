@@ -49,8 +49,8 @@ class Problem:
     """Knots over which the grid blends soft ends."""
 
     def blended(self) -> Iterator[Problem]:
-        """The same with soft ends blended over more knots, as far as the path is long enough to tell,
-        the longest first.
+        """The same with soft ends blended over more knots, as far as the path is long enough to
+        tell, the longest first.
         """
         for shorter, blend in zip((*LONGER_BLENDS[1:], BLEND), LONGER_BLENDS, strict=False):
             if self.config.ends == "soft" and 2 * shorter < len(self.knots.time):

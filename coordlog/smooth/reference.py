@@ -48,9 +48,9 @@ class Reference:
         """Which violations a candidate may keep.
 
         Being closer to something than the clearance, as long as it is no closer than the end points
-        are (if relaxed: than the reference is anywhere). If relaxed, also a collision of a pair that
-        collides in the reference about then and as deeply, and a limit of a joint, or a rule about
-        motion, that the reference exceeds by as much.
+        are (if relaxed: than the reference is anywhere). If relaxed, also a collision of a pair
+        that collides in the reference about then and as deeply, and a limit of a joint, or a rule
+        about motion, that the reference exceeds by as much.
         """
         if not relaxed:
             near: Bools = (found.kind == Kind.CONTACT) & (

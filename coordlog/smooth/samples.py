@@ -9,7 +9,8 @@ import numpy as np
 from coordlog.path import Floats, Ints, Path
 from coordlog.smooth.times import spacing
 
-_COARSEST = 8  # knots between the first samples looked at; a smooth path that collides mostly shows it there
+# knots between the first samples looked at; a smooth path that collides mostly shows it there
+_COARSEST = 8
 
 
 class Samples:

@@ -42,7 +42,7 @@ def smooth(
 
         result = smooth(time, q, checker, cutoff=3.0, clearance=0.005)
         if result.status == "smoothed":
-            command = result.spline(t)          # also result.spline(t, 1), result.spline.ppoly, result.path()
+            command = result.spline(t)          # also result.spline(t, 1), result.path()
 
     Args:
         time: Sample times, shape (n,): seconds as floats, datetime64 or timedelta64.

@@ -16,7 +16,8 @@ from coordlog.errors import SpecError
 from coordlog.path import Floats, Path
 from coordlog.smooth.times import spacing
 
-_LAM_CLAMPED = 1e15  # knots³; with clamped ends the equations are singular at λ = ∞, and nothing moves beyond this
+# knots³; with clamped ends the equations are singular at λ = ∞, and nothing moves beyond this
+_LAM_CLAMPED = 1e15
 
 
 class Grid:
@@ -61,7 +62,8 @@ class Grid:
         span = self.time[-1] - self.time[0]
         slope = (value[-1] - value[0]) / span
         ends = np.stack([slope, slope]) if velocity is None else velocity
-        # A straight line, or the Hermite cubic between exact and clamped ends, comes out as it went in: fit the rest.
+        # A straight line, or the Hermite cubic between exact and clamped ends, comes out as it went
+        # in: fit the rest.
         position, speed = _hermite(self._x, value[[0, -1]], ends * span)
         rest, rate = self._solve(value - position, lam / self.unit**3, 1.0 / weight)
         exact = np.isinf(weight)[:, None] | (lam == 0.0)
@@ -126,7 +128,8 @@ class Grid:
         _, u, info = dpbsv(band, second)
         if info:
             raise SpecError(
-                f"lam: too smooth for {self.time.size} knots in double precision; choose a higher cut-off"
+                f"lam: too smooth for {self.time.size} knots in double precision; choose a higher "
+                "cut-off"
             )
         return np.asarray(u)
 
@@ -173,7 +176,8 @@ def fit(
         or not (np.diff(time) > 0.0).all()
     ):
         raise SpecError(
-            f"time: expected at least two finite, strictly increasing times [s], got shape {time.shape}"
+            "time: expected at least two finite, strictly increasing times [s], got shape "
+            f"{time.shape}"
         )
     if value.ndim != 2 or len(value) != len(time) or not np.isfinite(value).all():
         raise SpecError(
@@ -184,14 +188,16 @@ def fit(
     w = _exact_ends(len(time)) if weight is None else np.asarray(weight, dtype=float)
     if w.shape != time.shape or not (w > 0.0).all():
         raise SpecError(
-            f"weight: expected positive weights of shape {time.shape}; leave a missing sample out, got {w}"
+            f"weight: expected positive weights of shape {time.shape}; leave a missing sample out, "
+            f"got {w}"
         )
     v = None if velocity is None else np.asarray(velocity, dtype=float)
     if v is not None and (
         v.shape != (2, value.shape[1]) or not np.isfinite(v).all() or np.isfinite(w[[0, -1]]).any()
     ):
         raise SpecError(
-            f"velocity: expected finite slopes of shape (2, {value.shape[1]}) and infinite weights at both ends, got {v}"
+            f"velocity: expected finite slopes of shape (2, {value.shape[1]}) and infinite weights "
+            f"at both ends, got {v}"
         )
     grid = Grid(time, clamped=v is not None)
     return grid.fit_each(value, lam=np.broadcast_to(lam, value.shape[1:]), weight=w, velocity=v)

@@ -19,6 +19,10 @@ GAP = 10.0
 """Spacings longer than this many typical ones do not count towards the typical one."""
 _BLOCK = 8  # samples: publishers taking turns, up to so many, look uniform over such a stretch
 _A_DAY = 86400.0  # s: no joint is sampled once a day; such numbers are nanoseconds or the like
+_NEVER = (
+    1e11  # s: three thousand years; such stamps count thousandths of seconds since 1970, or less
+)
+_INSTANT = 1e-12  # s: no joint is sampled so often, and cubes of such spacings vanish
 _COARSE = 0.1  # of the spacing: a resolution of the stamps beyond which their order is noise
 
 
@@ -117,11 +121,12 @@ def _of_objects(array: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], str]
 def _require_resolution(time: Floats) -> None:
     """Refuse times that were rounded to float32, or that cannot be seconds."""
     moved = time[np.append(True, np.diff(time) > 0.0)]
-    typical = spacing(moved)
-    if typical > _A_DAY:
+    typical, largest = spacing(moved), float(np.abs(time).max())
+    if largest > _NEVER or not _INSTANT < typical < _A_DAY:
         raise SpecError(
-            f"time: samples are {typical:.3g} apart, which cannot be seconds; if these are "
-            "nanoseconds, pass time * 1e-9 or time.astype('timedelta64[ns]')"
+            f"time: samples are {typical:.3g} apart, the largest is {largest:.3g}, which cannot be "
+            "seconds; if these are nanoseconds, pass time * 1e-9 or "
+            "time.astype('timedelta64[ns]'), milliseconds, time * 1e-3"
         )
     narrow = time.astype(np.float32)
     step = float(np.spacing(np.abs(narrow).max()))

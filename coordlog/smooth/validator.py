@@ -53,7 +53,8 @@ class Validator:
         self.queries = CountedChecker(checker)
         if config.certify and not self.queries.measures:
             raise ConfigError(
-                "certify: the checker lacks slack, reach or drift; add them, or pass certify=False to trust the samples"
+                "certify: the checker lacks slack, reach or drift; add them, or pass certify=False "
+                "to trust the samples"
             )
         self.bounds = limits.bounds(knots.position.shape[1])
         """Lower, upper, speed, acceleration: each (n_j,)."""
@@ -111,7 +112,7 @@ class Validator:
         return proof._replace(tolerated=proof.tolerated + look)
 
     def sampled(self, spline: Path, *, hints: Ints | None, relaxed: bool) -> Proof:
-        """As `validate`, but for the certificate: not yet a proof of what lies between the samples."""
+        """As `validate`, but for the certificate: no proof yet of what lies between the samples."""
         return self._noted(self._sampled(spline, hints, relaxed, self.samples.levels))
 
     def _noted(self, proof: Proof) -> Proof:

@@ -101,7 +101,8 @@ class EnvConfig:
                 )
         if self.start_line + self.start_random > 1:
             raise ConfigError(
-                f"start_line + start_random: expected at most 1, got {self.start_line + self.start_random:g}"
+                "start_line + start_random: expected at most 1, got "
+                f"{self.start_line + self.start_random:g}"
             )
         if not 0 <= self.inflate <= FATTEST:
             raise ConfigError(f"inflate: expected 0 to {FATTEST} m, got {self.inflate}")
@@ -122,11 +123,13 @@ class EnvConfig:
         count = round(min(self.control_period / timestep, MOST_SUBSTEPS + 1.0))
         if count > MOST_SUBSTEPS:
             raise ConfigError(
-                f"control_period: expected at most {MOST_SUBSTEPS:,} timesteps of {timestep} s, got {self.control_period} s"
+                f"control_period: expected at most {MOST_SUBSTEPS:,} timesteps of {timestep} s, "
+                f"got {self.control_period} s"
             )
         if count < 1 or abs(count * timestep - self.control_period) > 1e-9:
             raise ConfigError(
-                f"control_period: expected a multiple of the model's timestep {timestep} s, got {self.control_period} s"
+                f"control_period: expected a multiple of the model's timestep {timestep} s, got "
+                f"{self.control_period} s"
             )
         return count
 
@@ -175,10 +178,12 @@ class RewardConfig:
         said = []
         if self.kappa < loitering:
             said.append(
-                f"reward kappa = {self.kappa:g} is less than loitering at the goal can earn ({loitering:.1f} at γ = {gamma:g})"
+                f"reward kappa = {self.kappa:g} is less than loitering at the goal can earn "
+                f"({loitering:.1f} at γ = {gamma:g})"
             )
         if self.n2 < standing:
             said.append(
-                f"reward n2 = {self.n2:g} is less than standing far away can cost ({standing:.1f} at γ = {gamma:g}): falling may pay"
+                f"reward n2 = {self.n2:g} is less than standing far away can cost ({standing:.1f} "
+                f"at γ = {gamma:g}): falling may pay"
             )
         return said

@@ -61,7 +61,8 @@ class Scene:
     def __post_init__(self) -> None:
         if (self.object_half is None) != (self.object_box is None):
             raise ConfigError(
-                f"scene '{self.name}': an object needs both object_half and object_box, got one of them"
+                f"scene '{self.name}': an object needs both object_half and object_box, got one of "
+                "them"
             )
         if self.object_box is not None and len(self.robot.arms) != 2:
             got = f"got {len(self.robot.arms)}; without an object every arm has a goal of its own"
@@ -77,7 +78,8 @@ class Scene:
             for low, high in getattr(self, what) or ():
                 if not -inf < low <= high < inf:
                     raise ConfigError(
-                        f"scene '{self.name}': expected {what} as (low, high) for x, y and z, got ({low}, {high})"
+                        f"scene '{self.name}': expected {what} as (low, high) for x, y and z, got "
+                        f"({low}, {high})"
                     )
         if self.spheres and self.sphere_box is None:
             raise ConfigError(

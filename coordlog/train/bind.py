@@ -104,7 +104,8 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
     for key in SAME:
         if _seen(first[key]) != _seen(other[key]):
             raise SpecError(
-                f"{where}: its {key} is not that of the other logs; train on logs of one robot and one state layout at a time"
+                f"{where}: its {key} is not that of the other logs; train on logs of one robot and "
+                "one state layout at a time"
             )
     tasks = [env.get("task", {"name": "reach"})["name"] for env in (first, other)]
     if tasks[0] != tasks[1]:
@@ -115,7 +116,8 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
     before, now = (env["config"]["control_period"] for env in (first, other))
     if before != now:
         raise SpecError(
-            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train on logs of one period at a time"
+            f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train "
+            "on logs of one period at a time"
         )
 
 

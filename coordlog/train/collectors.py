@@ -1,8 +1,8 @@
 """Several collectors of live steps, each with simulations of its own, that feed one learner.
 
 All take the same number of steps with the same policy, then the learner has them all: the result
-depends on how many collectors there are and not on where they run or which is faster. Collector c of
-N takes the problems c, c + N, c + 2 N, …
+depends on how many collectors there are and not on where they run or which is faster. Collector c
+of N takes the problems c, c + N, c + 2 N, …
 """
 
 from __future__ import annotations

@@ -55,14 +55,16 @@ class Columns:
         n, episodes = int(np.sum(self.length)), len(self.length)
         if n == 0 or np.min(self.length) < 1:
             raise SpecError(
-                f"logs: expected episodes of at least one step, got {episodes} episodes of {n} steps in all"
+                f"logs: expected episodes of at least one step, got {episodes} episodes of {n} "
+                "steps in all"
             )
         columns = {name: self.steps[name] for name in names(LEARNT)} | {"final": self.final}
         for name, column in columns.items():
             wanted = episodes if name == "final" else n
             if len(column) != wanted:
                 raise SpecError(
-                    f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, got {len(column)}"
+                    f"{name}: expected {wanted} rows for {episodes} episodes of {n} steps in all, "
+                    f"got {len(column)}"
                 )
             if name in ("state", "action", "final") and column.dtype != np.float32:
                 raise SpecError(f"{name}: expected float32, got {column.dtype}")

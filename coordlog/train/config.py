@@ -156,7 +156,7 @@ class BehaviourConfig:
     """In between "linear", or "geometric": in equal factors, so that it is weak, and values are
     heard, for most of the run."""
     extra: int = 0
-    """Further steps of the actor per update that only imitate, from logs alone: they cost a tenth
+    """Further steps of the actor per update that only imitate, from logs alone: they cost a quarter
     of an update, and it takes thousands to see through the noise of what was done."""
     effort: float = 0.03
     """w_e of the term w_e · mean μ(s)² on all samples: keeps tanh out of saturation, where no
@@ -351,7 +351,7 @@ class LoopConfig:
     """
     average: float = 0.1
     """The policy that is evaluated and kept is an average of the actors of about this last share of
-    the updates so far, but of no fewer than 1/τ, as the target actor's; 0 for the actor itself."""
+    the updates so far; 0 for the actor itself."""
     metrics_every: int = 500
     """Updates between two rows of metrics."""
     evaluate_every: int = 2_500

@@ -35,7 +35,9 @@ class Batch(NamedTuple):
     action: Tensor  # (B, n_u) executed, in [-1, 1]
     reward: Tensor  # (B, k) of one step, or discounted of several
     next_state: Tensor  # (B, n_x) after them
-    discount: Tensor  # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an end
+    # (B, 1) what its value counts: γ to their number, 0 where the task ended; truncation is not an
+    # end
+    discount: Tensor
     imitated: Tensor  # (B, 1) weight of the behaviour term
     wanted: Tensor  # (B, n_u) action that it pulls towards
 
@@ -135,12 +137,10 @@ class Learner:
             tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
         )
         self._moments = _moments(targets, online)
-        self._average = average
-        self.average_actor = self.actor
-        self._networks: tuple[str, ...] = NETWORKS
+        self.average_actor, self._average = self.actor, average
+        self._networks = (*NETWORKS, "average_actor") if average > 0 else NETWORKS
         if average > 0:
             self.average_actor = copy.deepcopy(self.target_actor)
-            self._networks = (*NETWORKS, "average_actor")
             self._moments += _moments(self.average_actor, self.actor)
         dtype = self._online[0].dtype
         self._ascended = 1 if network.ascent == "first" else network.critics
@@ -300,8 +300,10 @@ class Learner:
         torch._foreach_lerp_(self._targets, self._online, self.config.tau)
         if self._average > 0:
             window = self._average * self.updates / self.config.actor_delay
-            kept, latest = tuple(self.average_actor.parameters()), tuple(self.actor.parameters())
-            torch._foreach_lerp_(kept, latest, min(self.config.tau, 1 / window))
+            average, actor = (
+                tuple[Tensor, ...](each.parameters()) for each in (self.average_actor, self.actor)
+            )
+            torch._foreach_lerp_(average, actor, min(1.0, 1 / window))
         for target, moment in self._moments:
             target.copy_(moment)
 
@@ -334,7 +336,8 @@ class Learner:
                 got = tuple(found[key].shape) if key in found else None
                 if got != tuple(value.shape):
                     raise SpecError(
-                        f"{name}.{key}: expected shape {tuple(value.shape)}, got {got}; this state is of another layout or network"
+                        f"{name}.{key}: expected shape {tuple(value.shape)}, got {got}; this state "
+                        "is of another layout or network"
                     )
             module.load_state_dict(found)
         for name in OPTIMISERS:

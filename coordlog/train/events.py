@@ -29,7 +29,8 @@ def require_tensorboard() -> None:
         import torch.utils.tensorboard  # noqa: F401
     except ImportError as error:
         raise ConfigError(
-            "--tensorboard: expected the package tensorboard, found none; pip install 'coordlog[tensorboard]'"
+            "--tensorboard: expected the package tensorboard, found none; pip install "
+            "'coordlog[tensorboard]'"
         ) from error
 
 

@@ -10,13 +10,11 @@ import numpy as np
 
 from coordlog.episode import Array, Json
 from coordlog.policies.checkpoint import generator_from_json, generator_to_json
+from coordlog.policies.noise import remembered
 
 
 class Noise:
-    """Normal noise of deviation 1 per lane and action, x ← ρ x + √(1 - ρ²) ξ.
-
-    One generator for all lanes.
-    """
+    """Normal noise with memory, of deviation 1 per lane and action, one generator for all lanes."""
 
     def __init__(self, lanes: int, n_u: int, *, correlation: float, seed: list[int]) -> None:
         """Start in the stationary distribution."""
@@ -27,7 +25,7 @@ class Noise:
         """The next noise, (lanes, n_u) float32."""
         value = self._value
         fresh = self._rng.standard_normal(value.shape, dtype=np.float32)
-        self._value = self._correlation * value + np.sqrt(1 - self._correlation**2) * fresh
+        self._value = remembered(value, fresh, self._correlation)
         return value
 
     def state(self) -> tuple[Json, dict[str, Array]]:

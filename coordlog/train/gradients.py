@@ -33,13 +33,15 @@ def gradient_mask(arms: Mapping[str, Sequence[int]], n_u: int) -> Array:
     for row, (name, indices) in enumerate(arms.items()):
         if len(indices) == 0 or min(indices) < 0 or max(indices) >= n_u:
             raise ConfigError(
-                f"arm '{name}': expected action indices between 0 and {n_u - 1}, got {list(indices)}"
+                f"arm '{name}': expected action indices between 0 and {n_u - 1}, got "
+                f"{list(indices)}"
             )
         serves[row, list(indices)] = 1
     arms_served = serves.sum(axis=0)
     if (arms_served == 0).any():
         raise ConfigError(
-            f"actions {np.flatnonzero(arms_served == 0).tolist()} serve no arm; give each to an arm or leave it out of the action"
+            f"actions {np.flatnonzero(arms_served == 0).tolist()} serve no arm; give each to an "
+            "arm or leave it out of the action"
         )
     return np.asarray(serves / arms_served)
 

@@ -86,7 +86,8 @@ class Trainer:
         _require_device(device)
         if source is not None and loop.steps == 0:
             raise ConfigError(
-                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to train from logs alone"
+                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to "
+                "train from logs alone"
             )
         if source is None and loop.updates == 0:
             raise ConfigError(
@@ -94,7 +95,8 @@ class Trainer:
             )
         if logs is None and loop.pretrain > 0:
             raise ConfigError(
-                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live step, got none"
+                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live "
+                "step, got none"
             )
         self.stream = logs if isinstance(logs, Stream) else None
         store = self._logged(logs)
@@ -152,7 +154,8 @@ class Trainer:
         store = None if logs is None else Transitions.of_logs(logs, self.task.reward)
         if store is not None and store.widths != self.task.widths:
             raise SpecError(
-                f"logs: expected widths (n_x, n_u, k) = {self.task.widths}, got {store.widths}; they are of another robot or state"
+                f"logs: expected widths (n_x, n_u, k) = {self.task.widths}, got {store.widths}; "
+                "they are of another robot or state"
             )
         return store
 
@@ -411,7 +414,8 @@ class Trainer:
         refuse_changes(self.settings, meta["settings"])
         if meta["log_transitions"] != self.log_transitions:
             raise ConfigError(
-                f"resume: expected the {meta['log_transitions']} log transitions of before, got {self.log_transitions}"
+                f"resume: expected the {meta['log_transitions']} log transitions of before, got "
+                f"{self.log_transitions}"
             )
         self.learner.load_state(
             {key: torch.from_numpy(value) for key, value in under("learner.", arrays).items()}
@@ -435,5 +439,6 @@ def _require_device(name: str) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(
-            f"device: expected cpu, or another that this machine and this build of torch have, got '{name}': {reason}"
+            "device: expected cpu, or another that this machine and this build of torch have, got "
+            f"'{name}': {reason}"
         ) from error

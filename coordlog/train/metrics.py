@@ -139,21 +139,27 @@ class Watch:
         if broken:
             return Event(
                 "not_finite",
-                f"{', '.join(broken)} not finite; lower the learning rates, and check the logs for wild states with `check`",
+                f"{', '.join(broken)} not finite; lower the learning rates, and check the logs "
+                "for wild states with `check`",
             )
         low, high = self.bounds
         room = self.slack * (high - low)
         if values.get("q_low", low) < low - room or values.get("q_high", high) > high + room:
-            seen = f"Q spans [{values['q_low']:.4g}, {values['q_high']:.4g}] but no return lies outside [{low:.4g}, {high:.4g}]"
+            seen = (
+                f"Q spans [{values['q_low']:.4g}, {values['q_high']:.4g}] but no return lies "
+                f"outside [{low:.4g}, {high:.4g}]"
+            )
             return Event(
                 "q_out_of_bounds",
-                f"{seen}; set learner.clip_targets = true, use critic_norm = 'layer', or lower learner.critic_rate",
+                f"{seen}; set learner.clip_targets = true, use critic_norm = 'layer', or lower "
+                "learner.critic_rate",
             )
         if values.get("saturation", 0.0) > self.saturation:
             seen = f"{values['saturation']:.0%} of the actions are at their limits"
             return Event(
                 "saturated",
-                f"{seen}; lower learner.actor_rate, raise behaviour.weight, or check how the state is scaled",
+                f"{seen}; lower learner.actor_rate, raise behaviour.weight, or check how the "
+                "state is scaled",
             )
         return None
 

@@ -73,7 +73,8 @@ class GoalView:
         }
         if len(widths) != 1 or min(widths) % AXES or min(widths) == 0:
             raise SpecError(
-                f"goal view: expected palms, goals and difference of one width, {AXES} per arm; got widths {sorted(widths)}"
+                f"goal view: expected palms, goals and difference of one width, {AXES} per arm; "
+                f"got widths {sorted(widths)}"
             )
 
     @property

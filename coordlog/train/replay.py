@@ -164,12 +164,14 @@ class MixedReplay:
             raise ConfigError("replay: expected logs, live steps or both, got neither")
         if len({store.widths for store in stores}) > 1:
             raise ConfigError(
-                f"replay: logs have widths (n_x, n_u, k) = {stores[0].widths}, live steps {stores[1].widths}; train them apart"
+                f"replay: logs have widths (n_x, n_u, k) = {stores[0].widths}, live steps "
+                f"{stores[1].widths}; train them apart"
             )
         for name, store in (("hindsight", live), ("log_hindsight", logs)):
             if store is not None and getattr(config, name) > 0 and task.view is None:
                 raise ConfigError(
-                    f"replay.{name}: expected to know where goals stand in the state; set it to 0 for this task"
+                    f"replay.{name}: expected to know where goals stand in the state; set it to 0 "
+                    "for this task"
                 )
         self._config, self._task, self._horizon = (
             config,

@@ -121,7 +121,8 @@ def require_new(folder: Path) -> None:
     """
     if (folder / RUN).exists():
         raise StorageError(
-            f"{folder}: holds a run already and is not overwritten; --resume goes on with it, --out names another folder"
+            f"{folder}: holds a run already and is not overwritten; --resume goes on with it, "
+            "--out names another folder"
         )
 
 
@@ -163,7 +164,8 @@ def _checked(path: Path, said: Json) -> Json:
     missing = [key for key in NEEDED if key not in said]
     if missing:
         raise ConfigError(
-            f"{path}: expected what a run was about, {', '.join(missing)} missing; is it of another program?"
+            f"{path}: expected what a run was about, {', '.join(missing)} missing; is it of "
+            "another program?"
         )
     for key, kind in KINDS.items():
         if key in said and type(said[key]) is not kind:
@@ -191,7 +193,8 @@ def require_same(before: Json, now: Json, *, folder: Path) -> None:
             name, *values = _difference(key, before.get(key), now.get(key))
             was, now_is = (repr(value)[:60] for value in values)
             raise ConfigError(
-                f"{folder}: resume with the run's own options: its {name} was {was} and is now {now_is}"
+                f"{folder}: resume with the run's own options: its {name} was {was} and is now "
+                f"{now_is}"
             )
 
 

@@ -47,8 +47,16 @@ class Settings:
 
 PRESETS: dict[str, Settings] = {
     "default": Settings(),
-    # Live, from scratch, in any scene: actions that last long enough for a critic to see what they are worth, imitation that leaves room
-    # for what is learnt from values, and starts all over the place, so that the way around something is found from its end.
+    # From logs alone, in about a minute: ten steps of imitation for one of a critic, and rates that
+    # fall to a twentieth, since what is imitated is noisy.
+    "quick": Settings(
+        learner=LearnerConfig(actor_rate=2e-3),
+        behaviour=BehaviourConfig(final=20.0, extra=9),
+        loop=LoopConfig(updates=500, final_rate=0.05, evaluate_every=250),
+    ),
+    # Live, from scratch, in any scene: actions that last long enough for a critic to see what they
+    # are worth, imitation that leaves room for what is learnt from values, and starts all over the
+    # place, so that the way around something is found from its end.
     "live": Settings(
         network=NetworkConfig(ascent="mean"),
         behaviour=BehaviourConfig(weight=5.0, final=0.5, schedule="geometric", effort=0.01),
@@ -66,7 +74,8 @@ PRESETS: dict[str, Settings] = {
         ),
         train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
     ),
-    # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action enters) or is our choice (noise).
+    # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action
+    # enters) or is our choice (noise).
     "paper": Settings(
         network=NetworkConfig(
             hidden=(700, 400),
@@ -105,7 +114,8 @@ PRESETS: dict[str, Settings] = {
 }
 
 AROUND: dict[str, dict[str, dict[str, Any]]] = {
-    # 8 decisions a second, the command filter and the length of an episode the same in seconds as at 25.
+    # 8 decisions a second, the command filter and the length of an episode the same in seconds as
+    # at 25.
     "live": {
         "env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35},
         "reward": {"n1": 5.0, "n2": 20.0},
@@ -159,7 +169,8 @@ def refuse_changes(settings: Settings, saved: Mapping[str, Mapping[str, object]]
             before = saved.get(section, {}).get(key, UNSAID.get((section, key)))
             if before != value and (section, key) not in BUDGET:
                 raise ConfigError(
-                    f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the run's own settings"
+                    f"resume: {section}.{key} was {before!r} and is now {value!r}; resume with the "
+                    "run's own settings"
                 )
 
 

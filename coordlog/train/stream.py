@@ -1,9 +1,9 @@
 """Logs that are learnt from without being held in memory: episodes pass, in an order of chance,
 through a window of transitions.
 
-The order is drawn from the seed alone, anew for each pass over the episodes, and how far it has come
-follows from the number of updates. So batches do not depend on who reads or how fast, and a resumed
-run reads again what its window held.
+The order is drawn from the seed alone, anew for each pass over the episodes, and how far it has
+come follows from the number of updates. So batches do not depend on who reads or how fast, and a
+resumed run reads again what its window held.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Stream:
                 stay.
         """
         self.window = Transitions.ring(self.room(widths), 1, widths=widths, reward=reward)
-        self._pace = drawn / self._reuse
+        self._pace, self._passes = drawn / self._reuse, self.window.slots < self.transitions
         return self.window
 
     def feed(self, updates: int) -> None:
@@ -166,10 +166,11 @@ class Stream:
         Raises:
             CoordlogError: what the reader raises.
         """
-        passes = self.window.slots < self.transitions
-        due = self.window.slots + (int(updates * self._pace) if passes else 0)
+        due = self.window.slots + (int(updates * self._pace) if self._passes else 0)
         while self.window.total < due:
             self._take()
+        if not self._passes:
+            self.close()
 
     def state(self) -> Json:
         """The window's place in the order: its oldest group, where that lies, and the next one."""
@@ -202,8 +203,8 @@ class Stream:
             self._starts.popleft()
 
     def _order(self) -> Iterator[Group]:
-        """Groups of episodes without end: one pass over all of them after the other."""
-        for turn in count():
+        """Groups of episodes: one pass over all of them after the other, or one if all fit."""
+        for turn in count() if self._passes else range(1):
             order = np.random.default_rng([self._seed, ORDER, turn]).permutation(len(self._logged))
             for start in range(0, len(order), GROUP):
                 yield tuple(self._logged[at] for at in order[start : start + GROUP])

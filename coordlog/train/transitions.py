@@ -2,9 +2,10 @@
 window, live simulations.
 
 It has one lane per simulation and one slot per control step: slot p of lane l is row p · lanes + l,
-and what follows a transition in its episode stands in the next slot of its lane. So an episode needs
-no index, and a block is one write. Logs are one lane: whole and never written to, or a window that
-takes in episodes in place of its oldest transitions, first in, first out, as it does live steps.
+and what follows a transition in its episode stands in the next slot of its lane. So an episode
+needs no index, and a block is one write. Logs are one lane: whole and never written to, or a window
+that takes in episodes in place of its oldest transitions, first in, first out, as it does live
+steps.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ class Transitions:
         self._length = np.zeros(0, np.int32) if length is None else length
         """Steps so far of each episode, by its number."""
         self._final = final
-        """States after the last steps, by number of episode; the next state of any other step is the
-        next row. None where all next states are kept."""
+        """States after the last steps, by number of episode; the next state of any other step is
+        the next row. None where all next states are kept."""
 
     @classmethod
     def ring(
@@ -75,7 +76,8 @@ class Transitions:
         """
         if capacity < lanes:
             raise ConfigError(
-                f"replay.capacity: expected at least one transition per simulation, {lanes}, got {capacity}"
+                f"replay.capacity: expected at least one transition per simulation, {lanes}, got "
+                f"{capacity}"
             )
         n = capacity // lanes * lanes
         rows: dict[str, Array] = {
@@ -129,7 +131,8 @@ class Transitions:
         n = len(block.step)
         if n > self.slots:
             raise ConfigError(
-                f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got {n}"
+                f"loop.block: expected at most the buffer's {self.slots} steps per simulation, got "
+                f"{n}"
             )
         flat = {
             name: array.reshape(n * self.lanes, *array.shape[2:])
@@ -269,7 +272,8 @@ class Transitions:
                 reached = last
         if reached != total:
             raise StorageError(
-                f"{folder}: expected saved steps up to {total}, found them up to {reached}; the checkpoint cannot be resumed"
+                f"{folder}: expected saved steps up to {total}, found them up to {reached}; the "
+                "checkpoint cannot be resumed"
             )
         self.total = self._saved = total
 

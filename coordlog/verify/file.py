@@ -17,8 +17,9 @@ from mcap.opcode import Opcode
 from coordlog.episode import Episode
 from coordlog.errors import FormatError, SpecError
 from coordlog.record.contents import Contents, contents, require_room
-from coordlog.record.decoding import decode
+from coordlog.record.decoding import decode, require_messages
 from coordlog.record.messages import Encoder
+from coordlog.record.metadata import vouched
 from coordlog.record.opening import File, summary_start
 from coordlog.record.reader import attachments
 from coordlog.record.recording import Recording
@@ -104,8 +105,11 @@ def _foreign(data: bytes) -> Iterator[Problem]:
                 yield from damages(data, stop, crc)
                 return
             break
-    decode(contents(data))
+    found = contents(data)
+    decode(found)
     attachments(data)
+    for topic in require_messages(found, vouched(found.metadata)):
+        yield Problem(None, f"topic {topic}", "its messages", "none: another tool left them out")
 
 
 def _checksums(data: bytes, start: int) -> Iterator[Problem]:

@@ -1,8 +1,8 @@
 """Episodes of an older schema version as new files of the present one; the old files stay.
 
-What the new version logs besides (`ctrl`, `torque`) is simulated again from the file alone, and only
-taken if everything that was logged comes back bit for bit. Where it does not the episode is written
-with what it had, and that is said.
+What the new version logs besides (`ctrl`, `torque`) is simulated again from the file alone, and
+only taken if everything that was logged comes back bit for bit. Where it does not the episode is
+written with what it had, and that is said.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from coordlog.episode import MODEL_MJB, Array, Header
 from coordlog.errors import CoordlogError, FormatError
+from coordlog.record.reader import read_header
 from coordlog.record.recording import Recording
 from coordlog.record.writer import write_episode
 from coordlog.sim.replay import Log, exact_here, replay
@@ -50,7 +51,7 @@ def migrate(source: Recording, target: Path) -> Migrated:
         True
     """
     old = source.header
-    if old.version == SCHEMA_VERSION:
+    if needs_none(source):
         raise FormatError(f"{source.source}: of schema version {SCHEMA_VERSION} already")
     columns, reason = _simulated(source)
     header = old.current(n_c=columns["ctrl"].shape[1] if columns else 0)
@@ -72,6 +73,20 @@ def migrate(source: Recording, target: Path) -> Migrated:
     kept = {name: data for name, data in source.attachments.items() if name != MODEL_MJB}
     write_episode(target, episode, attachments=kept, display=source.has(JOINT_STATE_TOPIC))
     return Migrated(target, not reason, reason)
+
+
+def needs_none(source: Recording) -> bool:
+    """Whether an episode is of the present schema version."""
+    return source.header.version == SCHEMA_VERSION
+
+
+def migrated_before(source: Recording, target: Path) -> bool:
+    """Whether a file is what migrating an episode made."""
+    try:
+        lineage = read_header(target).lineage
+    except CoordlogError:
+        return False
+    return lineage["transform"] == MIGRATED and lineage["parents"] == [source.digest]
 
 
 def _simulated(source: Recording) -> tuple[dict[str, Array], str]:

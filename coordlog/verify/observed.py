@@ -87,7 +87,10 @@ def _contacts(episode: Episode, model: mujoco.MjModel) -> str:
                 pair = " and ".join(_name(model, int(geom)) for geom in contact.geom)
     if not touching:
         return "no contact of the model with itself or its scene at the samples"
-    return f"contact at {touching} of {len(episode.qpos)} samples, deepest {deepest * 1e3:.3g} mm ({pair})"
+    return (
+        f"contact at {touching} of {len(episode.qpos)} samples, deepest {deepest * 1e3:.3g} mm "
+        f"({pair})"
+    )
 
 
 def _name(model: mujoco.MjModel, geom: int) -> str:

@@ -202,7 +202,8 @@ def salvaged(data: bytes) -> Salvage:
     kept = on_disk if known else on_disk - 1
     if kept < 1:
         raise TruncatedError(
-            f"only {on_disk} steps are complete, and recovering needs one and the state it led to: nothing to recover"
+            f"only {on_disk} steps are complete, and recovering needs one and the state it led to: "
+            "nothing to recover"
         )
     if not known:
         ground.notes.insert(

@@ -58,7 +58,8 @@ class Headless(Viewer):
         if self.process.poll() is not None:
             raise self.failure()
         raise ViewerError(
-            f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try again, or use --save FILE"
+            f"the viewer did not answer on {HOST}:{self.port} within {START_SECONDS:g} s; try "
+            "again, or use --save FILE"
         )
 
     def open(self, *files: Path) -> None:
@@ -88,7 +89,8 @@ class Headless(Viewer):
         at = last if at is None else at
         if not first <= at <= last:
             raise ConfigError(
-                f"--at: expected {first:g} to {last:g} on the timeline '{timeline.name}', got {at:g}"
+                f"--at: expected {first:g} to {last:g} on the timeline '{timeline.name}', got "
+                f"{at:g}"
             )
         if timeline.time_type == "duration":
             patiently(

@@ -232,7 +232,10 @@ def _title(episode: Episode) -> str:
         else result.aborted or "no success"
     )
     made = f", {episode.header.lineage['transform']}" if episode.header.lineage["transform"] else ""
-    return f"{about['scene']}, {about['split']} seed {about['seed']} episode {about['index']}{made}: {ended} after {episode.time[-1]:.2f} s"
+    return (
+        f"{about['scene']}, {about['split']} seed {about['seed']} episode {about['index']}{made}: "
+        f"{ended} after {episode.time[-1]:.2f} s"
+    )
 
 
 def _fine(time: Array) -> Array:

@@ -172,7 +172,8 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
         median, most = np.percentile(finite, [50, 90])
         lines += [
             "",
-            f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below {most * 100:.1f} cm.",
+            f"Final distance of the farther palm: median {median * 100:.1f} cm, nine in ten below "
+            f"{most * 100:.1f} cm.",
         ]
     lines += ["", "### Open next", "", "| # | episode | ended as | why |", "|---|---|---|---|"]
     names = _short([outcome.file for outcome in outcomes])
@@ -184,7 +185,8 @@ def about_all(outcomes: Sequence[Outcome]) -> str:
         [
             *lines,
             "",
-            "Put the cursor of the time line on its number to see its hands and the command that opens it.",
+            "Put the cursor of the time line on its number to see its hands and the command that "
+            "opens it.",
         ]
     )
 

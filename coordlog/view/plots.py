@@ -176,7 +176,8 @@ def plot_flags(draft: Draft, stage: Stage) -> None:
             f"boundary_{arm}": (episode.boundary[:, i], FAIR),
             f"goal_{arm}": (episode.goal[:, i], GOOD),
         }
-    # The last flag is held for one period more, or the one that ended the episode would have no width.
+    # The last flag is held for one period more, or the one that ended the episode would have no
+    # width.
     time = np.append(
         episode.time, episode.time[-1] + float(episode.header.episode["control_period"])
     )

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rerun as rr
 
@@ -50,7 +50,7 @@ def prepare(numbered: tuple[int, Path], folder: Path) -> Prepared:
     except CoordlogError as error:
         return Prepared(path, "", str(error).removeprefix(f"{path}: "))
     about, result = recording.header.episode, recording.result
-    values = {
+    values: dict[str, Any] = {
         "scene": str(about.get("scene", "")),
         "policy": str(recording.header.policy.get("name", "")),
         "split": str(about.get("split", "")),

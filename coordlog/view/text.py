@@ -32,7 +32,10 @@ def verdict(episode: Episode) -> str:
 def title(episode: Episode) -> str:
     """Which episode this is, in a few words."""
     start = episode.header.episode
-    return f"{plain(start['scene'])} · {plain(start['split'])} seed {start['seed']} episode {start['index']}"
+    return (
+        f"{plain(start['scene'])} · {plain(start['split'])} seed {start['seed']} episode "
+        f"{start['index']}"
+    )
 
 
 def banner(episode: Episode) -> str:
@@ -41,7 +44,10 @@ def banner(episode: Episode) -> str:
         plain(episode.result.aborted),
         f"{len(episode)} steps ({episode.time[-1]:.2f} s)",
     )
-    return f"### This episode was cut short: {reason}. What is there, {shown}, is shown; how it went says nothing about the policy."
+    return (
+        f"### This episode was cut short: {reason}. What is there, {shown}, is shown; how it went "
+        "says nothing about the policy."
+    )
 
 
 def _touched(episode: Episode) -> str:
@@ -69,7 +75,8 @@ def about(episode: Episode, *, file: str = "") -> str:
         "start pose": start["start"],
         "file": file,
         "run": start["run"],
-        "coordlog, MuJoCo": f"{env['coordlog_version']}, {env['mujoco_version']} on {env['architecture']}",
+        "coordlog, MuJoCo": f"{env['coordlog_version']}, {env['mujoco_version']}"
+        f" on {env['architecture']}",
     }
     facts = {name: value for name, value in facts.items() if value} | {"episode": start["id"]}
     (first, told), *others = facts.items()
@@ -99,7 +106,8 @@ def _arms(episode: Episode) -> list[str]:
         distance = episode.distance[:, i] if len(episode) else np.array([np.nan])
         returned = episode.reward[:, i].sum()
         rows.append(
-            f"| {plain(arm)} | {distance[-1] * 100:.1f} cm | {distance.min() * 100:.1f} cm | {returned:.1f} |"
+            f"| {plain(arm)} | {distance[-1] * 100:.1f} cm | {distance.min() * 100:.1f} cm | "
+            f"{returned:.1f} |"
         )
     return rows
 

@@ -29,11 +29,18 @@ SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
 NO_VULKAN = (
-    "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install mesa-vulkan-drivers), "
+    "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install "
+    "mesa-vulkan-drivers), "
     "or use --save FILE and open it on another machine"
 )
-TOO_SLOW = "the viewer runs but did not answer in time, as on a busy machine; try again, or use --save FILE and open it elsewhere"
-NO_DISPLAY = "no display: expected one named by DISPLAY or WAYLAND_DISPLAY; use --web, --screenshot FILE or --save FILE"
+TOO_SLOW = (
+    "the viewer runs but did not answer in time, as on a busy machine; try again, or use --save "
+    "FILE and open it elsewhere"
+)
+NO_DISPLAY = (
+    "no display: expected one named by DISPLAY or WAYLAND_DISPLAY; use --web, --screenshot FILE or "
+    "--save FILE"
+)
 
 
 class Viewer:
@@ -126,7 +133,8 @@ class Viewer:
         said = [line for line in log.splitlines() if line.strip()]
         what = said[-1].strip() if said else "it said nothing"
         return ViewerError(
-            f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE and open it elsewhere"
+            f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE "
+            "and open it elsewhere"
         )
 
 
@@ -166,7 +174,8 @@ def claim(port: int) -> int:
             probe.bind((HOST, port))
         except OSError as error:
             raise ViewerError(
-                f"port {port} on {HOST} cannot be used: {error.strerror}; leave --port out and a free one is taken"
+                f"port {port} on {HOST} cannot be used: {error.strerror}; leave --port out and a "
+                "free one is taken"
             ) from error
         return int(probe.getsockname()[1])
 

@@ -25,7 +25,8 @@ from coordlog.errors import ViewerError
 from coordlog.view.viewer import HOST, START_SECONDS, Viewer, claim
 
 POLICY = (
-    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
+    "style-src 'self' 'unsafe-inline'; "
     "connect-src 'self' data: blob: {source}"
 )
 """What the page may load: its own parts, and recordings from {source}."""
@@ -99,7 +100,9 @@ def web_viewer(rrd: Path, *, port: int = 0) -> Iterator[str]:
         )
         with Server((HOST, port), page) as server:
             Thread(target=server.serve_forever, daemon=True).start()
-            yield f"http://{HOST}:{port}/?url={quote(viewer.url, safe=':/')}&theme=dark&hide_welcome_screen&persist=0"
+            shown = quote(viewer.url, safe=":/")
+            options = "theme=dark&hide_welcome_screen&persist=0"
+            yield f"http://{HOST}:{port}/?url={shown}&{options}"
             server.shutdown()
 
 
@@ -129,5 +132,6 @@ def _wait(viewer: Viewer, origin: str) -> None:
         except urllib.error.URLError:
             time.sleep(0.1)
     raise ViewerError(
-        f"the viewer's page did not come up on {origin} within {START_SECONDS:g} s; use --save FILE and open it elsewhere"
+        f"the viewer's page did not come up on {origin} within {START_SECONDS:g} s; use --save "
+        "FILE and open it elsewhere"
     )

@@ -22,7 +22,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from coordlog.episode import Array
-from coordlog.policies.noise import Random
+from coordlog.policies.noise import Random, RandomConfig
 from coordlog.record.recorder import Recorder
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.rollout import rollout
@@ -54,7 +54,7 @@ def stepping(name: str, rounds: int, *, sigma: float) -> Row:
     env = BatchEnv(find(name), n=N, threads=1)
     bare, substeps, ids = Batch(env.task.model, N, 1), env.task.substeps, np.arange(N)
     problems = (env.problem(seed=0, split="train", index=index) for index in count())
-    policy = Random(N, len(env.task.servos), sigma=sigma)
+    policy = Random(N, len(env.task.servos), RandomConfig(sigma=sigma))
     share = (np.arange(substeps) + 1.0)[:, None] / substeps
 
     def start(some: Array) -> None:
@@ -109,7 +109,7 @@ def play(env: BatchEnv, kind: str, episodes: int) -> None:
     """Run random episodes; unless `kind` is "off" each becomes a file. Most last to the end, many
     touch the table.
     """
-    policy = Random(env.n, len(env.task.servos), sigma=0.4)
+    policy = Random(env.n, len(env.task.servos), RandomConfig(sigma=0.4))
     if kind == "off":
         for _ in rollout(env, policy, range(episodes), seed=0):
             pass

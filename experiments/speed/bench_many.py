@@ -4,7 +4,7 @@ an object store's requests.
     python experiments/speed/bench_many.py [PART …] [--rows 1000000] [--files 20000]
     [--members 100000] [--json FILE]
 
-PART is one of: catalogue selections files packs storage; by default all. Episodes are those of the
+PART is one of: catalogue selections files packs storage memory; by default all. Episodes are those of the
 tests, copied; the million rows are random numbers in the catalogue's columns. Times are of the
 processor, the least of a few runs; of what several processes do, on the clock.
 """
@@ -16,6 +16,7 @@ import hashlib
 import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -65,6 +66,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--files", type=int, default=20_000)
     parser.add_argument("--members", type=int, default=100_000)
+    parser.add_argument("--episodes", type=int, default=100_000, help="of which memory is measured")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     found: list[Row] = []
@@ -226,6 +228,62 @@ _COLD = (
 )
 
 
+COMMANDS = {
+    "index": "index LOGS --jobs 1",
+    "info": "info LOGS --jobs 1 --json",
+    "query": "query SELECT LOGS --jobs 1 --json",
+    "select": "select LOGS --out OUT/a.manifest --where clean --jobs 1",
+    "diff": "diff LOGS OUT/a.manifest --jobs 1 --json",
+    "check": "check LOGS --level file --jobs 1",
+    "pack": "pack LOGS --out OUT/PACK --jobs 1",
+    "export": "export LOGS --to csv --out OUT/csv --jobs 1",
+}
+"""Command lines whose memory is measured; of one process, so that it is all of it."""
+
+
+def memory(folder: Path, options: argparse.Namespace) -> Iterator[Row]:
+    """The most memory that a command takes of a third of the episodes, and of all; and by the
+    difference of a hundred thousand.
+    """
+    n = options.episodes
+    sizes: dict[str, list[float]] = {name: [] for name in COMMANDS}
+    for count in (n // 3, n):
+        logs, out = folder / f"logs{count}", folder / f"out{count}"
+        different(logs, count)
+        out.mkdir()
+        for name, line in COMMANDS.items():
+            words = [
+                word.replace("LOGS", str(logs)).replace("OUT", str(out)) for word in line.split()
+            ]
+            words = [STATEMENT if word == "SELECT" else word for word in words]
+            sizes[name].append(peak(words))
+    for name, (few, many) in sizes.items():
+        each = (many - few) / (n - n // 3)
+        yield f"memory of {name}, {n:,} episodes", many / 1e6, "MB"
+        yield f"of {name}, 100,000 by the slope", (many + max(each, 0) * (100_000 - n)) / 1e9, "GB"
+
+
+STATEMENT = "select path, goal, length from episodes order by length"
+
+
+def peak(words: list[str]) -> float:
+    """Most memory that a command had at a time [bytes]."""
+    with open(os.devnull, "w") as nowhere:
+        command = [sys.executable, "-m", "coordlog.cli", *words]
+        process = subprocess.Popen(command, stdout=nowhere, stderr=nowhere)
+        _, status, usage = os.wait4(process.pid, 0)
+    assert os.waitstatus_to_exitcode(status) in (0, 1), words  # diff: 1, the sets differ
+    return usage.ru_maxrss * 1024.0
+
+
+def different(folder: Path, n: int) -> None:
+    """Small episodes whose headers and steps differ, a thousand to a folder."""
+    from tests.catalog.logs import write
+
+    for i in range(n):
+        write(folder / f"{i // 1000:04}" / f"{i:07}.mcap", i)
+
+
 def storage(folder: Path, options: argparse.Namespace) -> Iterator[Row]:
     """Requests that a real S3 server was asked."""
     from tests.record.s3 import ENVIRONMENT, Server
@@ -254,6 +312,7 @@ PARTS: dict[str, Callable[[Path, argparse.Namespace], Iterator[Row]]] = {
     "files": files,
     "packs": packs,
     "storage": storage,
+    "memory": memory,
 }
 
 

@@ -1,13 +1,13 @@
 """Learning from more logs than memory holds: peak memory with a window, and what the window costs.
 
     python experiments/speed/bench_stream.py [--episodes 100000] [--memory 200MB] [--rounds 20]
-    [--keep FOLDER] [--json FILE]
+    [--longest] [--keep FOLDER] [--json FILE]
 
-The logs are a pack whose members are copies of short episodes of the tests, 256 of them with headers
-of their own, and its catalogue. Memory is that of `coordlog train --memory`, of all of its processes
+The logs are a pack whose members are copies of an episode of the tests, 256 of them with headers of
+their own, and its catalogue. Memory is that of `coordlog train --memory`, of all of its processes
 together, pages they share counted twice. Speed is of two trainers in one process that take turns, one
 with all columns in memory: updates per second on the clock, and per second of the processor of this
-process alone; the readers' own is said apart. The pack takes some 25 kB an episode on disk.
+process alone; the readers' own is said apart. The pack takes some 60 kB an episode on disk.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ def main() -> None:
     parser.add_argument("--memory", default="200MB")
     parser.add_argument("--rounds", type=int, default=20, help=f"turns of {TURN} updates each")
     parser.add_argument("--updates", type=int, default=500, help="of the run whose memory is seen")
+    parser.add_argument("--longest", action="store_true", help="episodes of 107 steps, not of 20")
     parser.add_argument("--keep", type=Path, help="where the pack is made, or was made before")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -66,7 +67,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="coordlog-bench-") as name:
         kept = (options.keep or Path(name)).absolute()
         pack = kept / "PACK"
-        made = copies(kept / "kinds")
+        made = copies(kept / "kinds", longest=options.longest)
         if not pack.exists():
             packed(made, pack, options.episodes)
         for rows in (
@@ -80,9 +81,10 @@ def main() -> None:
         options.json.write_text(json.dumps(found, indent=1))
 
 
-def copies(folder: Path) -> list[Path]:
-    """The shortest episode of the tests with headers of their own."""
-    source = min(SOURCE.glob("*.mcap"), key=lambda path: path.stat().st_size)
+def copies(folder: Path, *, longest: bool) -> list[Path]:
+    """An episode of the tests, with headers of their own."""
+    choose = max if longest else min
+    source = choose(SOURCE.glob("*.mcap"), key=lambda path: path.stat().st_size)
     episode, attached = read_episode(source), read_attachments(source)
     paths = [folder / f"{at:03}.mcap" for at in range(KINDS)]
     for at, path in enumerate(paths):

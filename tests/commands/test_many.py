@@ -79,7 +79,15 @@ def test_every_kind_of_value_can_be_printed(logs: Path) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    ["pack logs", "unpack logs", "smooth logs", "export logs --to csv"],
+    [
+        "pack logs",
+        "unpack logs",
+        "smooth logs",
+        "export logs --to csv",
+        "train --from logs",
+        "import logs/a.csv",
+        "migrate logs",
+    ],
 )
 def test_only_record_writes_into_an_object_store(line: str, logs: Path) -> None:
     assert "only `coordlog record` writes" in refusal(*line.split(), "--out", "s3://robots/x")

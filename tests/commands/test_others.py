@@ -66,7 +66,10 @@ def test_an_overview_needs_no_goals(others: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["export", "select", "query"])
-@pytest.mark.parametrize("where", ["true union all select 0", "true) or (true", "exists(select 1)"])
+@pytest.mark.parametrize(
+    "where",
+    ["true union all select 0", "true) or (true", "exists(select 1)", "length", "row >= 0", "1/0"],
+)
 def test_a_condition_is_one_condition_everywhere(name: str, where: str, tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     shutil.copytree(Path(__file__).parents[1] / "data" / "v2" / "planar", logs)
@@ -77,5 +80,5 @@ def test_a_condition_is_one_condition_everywhere(name: str, where: str, tmp_path
     }
     done = said(*words[name], "--where", where)
     assert done.exit_code == 2
-    assert "error: " in done.stderr
+    assert "error: --where: expected an SQL condition over " in done.stderr
     assert list(tmp_path.iterdir()) == [logs]

@@ -2,6 +2,9 @@
 
 import hashlib
 import json
+import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -58,6 +61,43 @@ def test_an_interrupted_export_leaves_no_set_and_ends_as_one_that_was_not(
     assert not (tmp_path / "cut").exists()
     resumed = export(chosen, tmp_path / "cut", options)
     assert resumed.resumed == 2
+    assert everything(tmp_path / "cut") == everything(tmp_path / "whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"whole", "cut"}
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+
+from coordlog.exchange import blocks
+from coordlog.exchange.source import Loaded, entries
+
+
+class Fifth(Loaded):
+    seen = 0
+
+    def __init__(self, path):
+        Fifth.seen += 1
+        if Fifth.seen == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        super().__init__(path)
+
+
+blocks.BLOCK, blocks.Loaded = 3, Fifth
+blocks.export(entries([Path(sys.argv[1])])[0], Path(sys.argv[2]), blocks.Options(sys.argv[3]))
+"""
+
+
+@pytest.mark.parametrize("to", ["lerobot", "rosbag2"])
+@pytest.mark.usefixtures("small")
+def test_an_export_that_is_killed_leaves_no_set_and_the_same_command_ends_it(
+    to, chosen, logs, tmp_path
+):
+    command = [sys.executable, "-c", KILLED, str(logs), str(tmp_path / "cut"), to]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert [path.name for path in tmp_path.iterdir()] == [".cut.part"]
+    assert export(chosen, tmp_path / "cut", Options(to)).resumed == 1
+    export(chosen, tmp_path / "whole", Options(to))
     assert everything(tmp_path / "cut") == everything(tmp_path / "whole")
     assert {path.name for path in tmp_path.iterdir()} == {"whole", "cut"}
 

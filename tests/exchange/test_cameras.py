@@ -84,3 +84,45 @@ def test_a_set_with_a_camera_has_a_video_of_every_step(tmp_path):
     np.testing.assert_allclose(stamps, np.arange(len(Loaded(PLANAR).episode)) / 25, atol=1e-4)
     report = run_doctor(LeRobotDataset(tmp_path / "set"))
     assert (report.counts["FAIL"], report.counts["WARN"]) == (0, 0)
+
+
+def test_depth_and_segmentation_are_those_of_mujocos_own_renderer(loaded, model, shown):
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = loaded.episode.qpos[0]
+    mujoco.mj_forward(model, data)
+    view = cameras.view_of(CAMERA, model)
+    with cameras.Canvas(model, 64, 48) as canvas:
+        first = canvas.shown(data, view)
+        depth, seen = (canvas.shown(data, view, kind) for kind in ("depth", "segmentation"))
+        np.testing.assert_array_equal(canvas.shown(data, view), first)
+    with mujoco.Renderer(model, 48, 64) as renderer:
+        renderer.update_scene(data, view)
+        renderer.enable_depth_rendering()
+        np.testing.assert_allclose(depth[:, :, 0], renderer.render(), rtol=1e-5)
+        renderer.disable_depth_rendering()
+        renderer.enable_segmentation_rendering()
+        renderer.update_scene(data, view)
+        ids, kinds = np.moveaxis(renderer.render(), 2, 0)
+    wanted = np.where(kinds == mujoco.mjtObj.mjOBJ_GEOM, ids, -1)
+    np.testing.assert_array_equal(seen[:, :, 0], wanted)
+    assert len(np.unique(seen)) > 2
+
+
+def test_depth_goes_into_arrays_and_not_into_videos(tmp_path, shown):
+    import h5py
+
+    from coordlog.exchange.blocks import export
+    from coordlog.exchange.source import entries
+
+    chosen, _ = entries([PLANAR])
+    seen = (f"{CAMERA}:depth", f"{CAMERA}:segmentation")
+    with pytest.raises(ConfigError, match="videos hold colours alone"):
+        export(chosen, tmp_path / "set", Options("lerobot", seen, 64, 48))
+    export(chosen, tmp_path / "set", Options("robomimic", seen, 64, 48))
+    with h5py.File(tmp_path / "set" / "data.hdf5") as file:
+        obs = file["data/demo_0/obs"]
+        (depth,) = (item for name, item in obs.items() if name.endswith("_depth"))
+        assert (depth.shape[1:], depth.dtype) == ((48, 64, 1), np.float32)
+        assert any(name.endswith("_segmentation") for name in obs)

@@ -7,7 +7,7 @@ import json
 from coordlog.config import plain
 from coordlog.policies.registry import SHIPPED
 from coordlog.tasks.config import EnvConfig, RewardConfig
-from experiments.training import around, command
+from experiments.training import KEPT, around, command
 
 
 def test_constants_of_the_environment_that_are_not_as_usual_are_part_of_the_command() -> None:
@@ -23,7 +23,7 @@ def test_constants_of_the_environment_that_are_not_as_usual_are_part_of_the_comm
     }
     plain = command(run)
     assert "reward." not in plain
-    assert plain.endswith("--seed 3")
+    assert plain.endswith(f"--seed 3{KEPT}"), "it is of before `loop.average`"
     dear = run | {
         "env": {
             "config": card["env"]["config"] | {"max_steps": 90},

@@ -3,10 +3,13 @@ changed value pass."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from coordlog.record.reader import read_episode
 from experiments.trust import (
     BEGIN,
     END,
@@ -22,6 +25,7 @@ from experiments.trust import (
     harm_policies,
     harm_runs,
     recorded,
+    same,
     smeared,
 )
 
@@ -48,9 +52,20 @@ def test_no_changed_value_passes_check(how, file: Path, tmp_path: Path) -> None:
     assert found.silent == 0
 
 
+def test_a_changed_value_is_seen(file: Path) -> None:
+    episode = read_episode(file)
+    assert same(episode, read_episode(file))
+    for name, values in episode.columns.items():
+        other = np.frombuffer(bytes(values.nbytes), values.dtype).reshape(values.shape)
+        if values.any():
+            assert not same(episode, replace(episode, columns={**episode.columns, name: other}))
+
+
 @pytest.mark.parametrize("how", [flipped, cut, smeared])
 def test_harmed_bytes_are_read_or_refused(how, file: Path, tmp_path: Path) -> None:
-    assert_foreseen(harm_bytes(file, tmp_path, how, count=30, seed=12, check=False))
+    found = harm_bytes(file, tmp_path, how, count=30, seed=12, check=False)
+    assert_foreseen(found)
+    assert found.silent == 0
 
 
 def test_odd_metadata_ends_no_command_in_a_traceback(file: Path, tmp_path: Path) -> None:

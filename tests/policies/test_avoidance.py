@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from coordlog.kinematics.ik import FAR, Approach, Reach
-from coordlog.policies.avoidance import CLOSE, LEAN, ON_THE_WAY, OWN, SAFE, allowed, gap_at, slide
+from coordlog.policies.avoidance import DamperConfig, slide
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
+DAMPER = DamperConfig()
 EFFORT = np.where(np.arange(13) < 5, 0.012, 0.04)
 ELSEWHERE = [[2.0, 2.0, 2.0, 0.03]] * 2
 """The other spheres, out of the way."""
@@ -51,7 +52,7 @@ def test_what_is_far_changes_nothing(reach: Reach) -> None:
     put_beside(reach, angles, (0.3, 0.3, 0.0))
     move = np.random.default_rng(0).uniform(-1, 1, 13) * EFFORT
     assert not any(found.solid for found in reach.approaches(angles))
-    np.testing.assert_array_equal(slide(reach, angles, move, effort=EFFORT), move)
+    np.testing.assert_array_equal(slide(reach, angles, move, effort=EFFORT, config=DAMPER), move)
 
 
 def test_gaps_close_as_they_are_said_to(reach: Reach) -> None:
@@ -76,10 +77,11 @@ def test_a_link_comes_no_closer_than_it_may(reach: Reach) -> None:
             tuple(offset * (0.04 + FOREARM + rng.uniform(0.0, 0.7 * FAR)) / np.linalg.norm(offset)),
         )
         move = rng.uniform(-1, 1, 13) * EFFORT
-        found = slide(reach, angles, move, effort=EFFORT)
+        found = slide(reach, angles, move, effort=EFFORT, config=DAMPER)
         for near in reach.approaches(angles):
             assert (
-                near.closing @ found < max(allowed(near, SAFE), near.closing @ move * 0.15) + 1e-3
+                near.closing @ found
+                < max(DAMPER.allowed(near, DAMPER.safe), near.closing @ move * 0.15) + 1e-3
             ), "after a few rounds"
         turned += int(not np.array_equal(found, move))
     assert turned > 20
@@ -94,10 +96,10 @@ def test_an_arm_does_not_run_into_its_own_body(reach: Reach) -> None:
     free, kept = angles.copy(), angles.copy()
     for _ in range(60):
         free = free + inwards
-        kept = kept + slide(reach, kept, inwards, effort=EFFORT)
+        kept = kept + slide(reach, kept, inwards, effort=EFFORT, config=DAMPER)
     assert reach.touches(free), "else there is nothing to avoid"
     assert not reach.touches(kept)
-    assert not reach.touches(kept, own=OWN / 2)
+    assert not reach.touches(kept, own=DAMPER.own / 2)
 
 
 def test_a_motion_that_closes_no_gap_is_left_alone(reach: Reach) -> None:
@@ -106,11 +108,13 @@ def test_a_motion_that_closes_no_gap_is_left_alone(reach: Reach) -> None:
     rows = np.array([found.closing for found in reach.approaches(angles)])
     away = -0.02 * rows.sum(axis=0) / np.abs(rows.sum(axis=0)).max()
     assert (rows @ away <= 0).all()
-    np.testing.assert_array_equal(slide(reach, angles, away, effort=EFFORT), away)
+    np.testing.assert_array_equal(slide(reach, angles, away, effort=EFFORT, config=DAMPER), away)
     move = np.random.default_rng(2).uniform(-0.02, 0.02, 13)
     rows = np.array([*rows, reach.leaning().closing])
     along = move - np.linalg.pinv(rows) @ (rows @ move)
-    np.testing.assert_allclose(slide(reach, angles, along, effort=EFFORT), along, atol=1e-12)
+    np.testing.assert_allclose(
+        slide(reach, angles, along, effort=EFFORT, config=DAMPER), along, atol=1e-12
+    )
 
 
 def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
@@ -118,7 +122,7 @@ def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
     put_beside(reach, angles, (0.0, 0.0, -0.04 - FOREARM - 0.02))
     near = nearest(reach, angles).closing
     towards = 0.02 * near / np.abs(near).max()
-    given = towards - slide(reach, angles, towards, effort=EFFORT)
+    given = towards - slide(reach, angles, towards, effort=EFFORT, config=DAMPER)
     moved = np.abs(near) > 1e-3
     share = given[moved] / (EFFORT**2 * near)[moved]
     np.testing.assert_allclose(share, share[0])
@@ -126,10 +130,10 @@ def test_joints_that_can_do_more_give_way_more(reach: Reach) -> None:
 
 
 def test_the_gap_to_keep_shrinks_as_the_palms_arrive() -> None:
-    gaps = [gap_at(distance) for distance in np.linspace(0.0, 2 * ON_THE_WAY, 50)]
+    gaps = [DAMPER.gap_at(distance) for distance in np.linspace(0.0, 2 * DAMPER.on_the_way, 50)]
     assert gaps == sorted(gaps)
-    assert gaps[0] == CLOSE
-    assert gaps[-1] == SAFE
+    assert gaps[0] == DAMPER.close
+    assert gaps[-1] == DAMPER.safe
 
 
 def test_spheres_that_are_placed_are_where_a_compiled_model_has_them(reach: Reach) -> None:
@@ -167,9 +171,11 @@ def test_a_robot_that_leans_as_far_as_it_can_stops_before_it_counts_as_tipped(re
         for _ in range(80):
             reach.approaches(angles)
             move = EFFORT * np.sign(reach.leaning().closing)
-            angles = angles + (slide(reach, angles, move, effort=EFFORT) if damped else move)
+            angles = angles + (
+                slide(reach, angles, move, effort=EFFORT, config=DAMPER) if damped else move
+            )
         reach.approaches(angles)
         return reach.leaning().gap
 
     assert leant(damped=False) < 0.0, "else there is nothing to avoid"
-    assert leant(damped=True) > 0.5 * LEAN
+    assert leant(damped=True) > 0.5 * DAMPER.lean

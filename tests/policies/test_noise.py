@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from coordlog.policies.expert import Expert
-from coordlog.policies.noise import CORRELATION, Noise, Noisy, Random, Still
+from coordlog.policies.noise import ActionNoise, Noisy, Random, RandomConfig, Still
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import SCENES
 from tests.contracts import PolicyContract
@@ -54,7 +54,7 @@ def run(noise, *, steps, seed=0, n=N):
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
 def test_noise_has_the_standard_deviation_and_correlation_asked_for(correlation):
-    drawn = run(Noise(N, 50, sigma=0.3, correlation=correlation), steps=1500)
+    drawn = run(ActionNoise(N, 50, sigma=0.3, correlation=correlation), steps=1500)
     assert drawn.mean() == pytest.approx(0.0, abs=0.01)
     assert drawn.std() == pytest.approx(0.3, rel=0.03)
     assert drawn[0].std() == pytest.approx(0.3, rel=0.2)  # from the first step on
@@ -64,23 +64,23 @@ def test_noise_has_the_standard_deviation_and_correlation_asked_for(correlation)
 
 
 def test_noise_of_different_actions_and_slots_is_independent():
-    drawn = run(Noise(N, 5, sigma=1.0, correlation=0.0), steps=3000).reshape(3000, -1)
+    drawn = run(ActionNoise(N, 5, sigma=1.0, correlation=0.0), steps=3000).reshape(3000, -1)
     off = np.corrcoef(drawn.T) - np.eye(drawn.shape[1])
     assert np.abs(off).max() < 0.08
 
 
 def test_a_slots_noise_depends_on_its_own_generator_alone():
-    alone = Noise(N, 5, sigma=1.0, correlation=0.5)
+    alone = ActionNoise(N, 5, sigma=1.0, correlation=0.5)
     alone.begin(np.array([2]), [np.random.default_rng(7)])
     wanted = np.stack([alone.draw(np.array([2]))[0] for _ in range(20)])
-    crowd = Noise(N, 5, sigma=1.0, correlation=0.5)
+    crowd = ActionNoise(N, 5, sigma=1.0, correlation=0.5)
     crowd.begin(np.arange(N), [np.random.default_rng(seed) for seed in (1, 2, 7, 3)])
     got = np.stack([crowd.draw(np.arange(N))[2] for _ in range(20)])
     assert got.tobytes() == wanted.tobytes()
 
 
 def test_an_episodes_noise_does_not_depend_on_the_slot_or_the_one_before_it():
-    noise = Noise(N, 5, sigma=1.0, correlation=0.9)
+    noise = ActionNoise(N, 5, sigma=1.0, correlation=0.9)
     noise.begin(np.array([0]), [np.random.default_rng(1)])
     first = np.stack([noise.draw(np.array([0]))[0] for _ in range(5)])
     noise.begin(np.array([3]), [np.random.default_rng(99)])
@@ -90,14 +90,14 @@ def test_an_episodes_noise_does_not_depend_on_the_slot_or_the_one_before_it():
 
 
 def test_random_actions_are_correlated_in_time_and_clipped():
-    policy = Random(N, 20, sigma=1.5)
+    policy = Random(N, 20, RandomConfig(sigma=1.5))
     policy.begin(np.arange(N), np.zeros((N, 1)), [np.random.default_rng(i) for i in range(N)])
     acted = np.stack([policy.act(np.arange(N), np.zeros((N, 1))) for _ in range(600)]).astype(
         np.float64
     )
     assert np.abs(acted).max() == 1.0
     inner = (acted[1:] * acted[:-1]).mean() / (acted * acted).mean()
-    assert inner == pytest.approx(CORRELATION, abs=0.05)
+    assert inner == pytest.approx(RandomConfig().correlation, abs=0.05)
 
 
 def test_noise_around_a_policy_and_the_policy_have_generators_of_their_own():

@@ -34,7 +34,17 @@ def findings(path):
     return check(path, level="content")
 
 
-def rewrite(source, target, *, library="other 1.0", skip=(), extra=False, late=False, **options):
+def rewrite(
+    source,
+    target,
+    *,
+    library="other 1.0",
+    skip=(),
+    extra=False,
+    late=False,
+    edit=lambda topic, data: data,
+    **options,
+):
     """The same records through the Python library of MCAP, which lays them out in its own way."""
     with open(source, "rb") as stream, open(target, "wb") as out:
         reader = make_reader(stream)
@@ -66,7 +76,7 @@ def rewrite(source, target, *, library="other 1.0", skip=(), extra=False, late=F
             writer.add_message(
                 channels[channel.topic],
                 message.log_time,
-                message.data,
+                edit(channel.topic, message.data),
                 message.publish_time,
                 message.sequence,
             )
@@ -125,12 +135,30 @@ def test_a_value_changed_behind_absent_crcs_is_not_believed(tmp_path, rng):
             read_episode(path)
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_value_that_a_tool_changed_is_not_believed_whatever_its_crcs_say(tmp_path, rng, version):
+    source = next(V1.glob("planar/*.mcap"))
+    if version == 2:
+        source = write_episode_at(tmp_path / "a.mcap", make_episode(rng))
+    wanted = read_episode(source).qpos[3].tobytes()
+    path = rewrite(
+        source,
+        tmp_path / "b.mcap",
+        edit=lambda topic, data: data.replace(wanted, bytes([wanted[0] ^ 1]) + wanted[1:]),
+    )
+    for read in (read_episode, read_summary):
+        with pytest.raises(FormatError, match="not those that were recorded"):
+            read(path)
+    assert findings(path)
+
+
 def test_what_a_tool_left_out_is_missing_and_the_rest_is_there(tmp_path, rng):
     source = write_episode_at(tmp_path / "a.mcap", make_episode(rng))
     path = rewrite(source, tmp_path / "b.mcap", skip=(TASK_TOPIC + "reach",))
     episode = read_episode(path)
     assert episode.qpos.tobytes() == read_episode(source).qpos.tobytes()
     assert not episode.has("distance")
+    assert "another tool left them out" in str(findings(path)[0])
     with pytest.raises(AttributeError, match=r"task 'reach'.* no column 'distance'; it has time,"):
         _ = episode.distance
     path = rewrite(source, tmp_path / "c.mcap", skip=(FINAL.topic,))

@@ -9,7 +9,7 @@ import pytest
 
 from coordlog.contracts import Outcome
 from coordlog.errors import SpecError
-from coordlog.policies.noise import Random, Still
+from coordlog.policies.noise import Random, RandomConfig, Still
 from coordlog.record.recorder import Recorder
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.rollout import policy_rng, rollout
@@ -210,7 +210,9 @@ class TestARecorderIsAnEnvironment(EnvContract):
 
 def test_what_is_touched_first_is_counted_once_per_episode_that_touches():
     env = BatchEnv(SCENES["table"], EnvConfig(max_steps=40), n=4, threads=1)
-    board = judged(env, Random(env.n, 13, sigma=1.0), episodes=8, k=2, seed=0, split="train")
+    board = judged(
+        env, Random(env.n, 13, RandomConfig(sigma=1.0)), episodes=8, k=2, seed=0, split="train"
+    )
     collided = sum(score.collided for score in board.scores)
     assert collided > 0
     assert board.touches.total() == collided

@@ -560,7 +560,7 @@ def test_a_state_of_another_layout_is_refused_by_name() -> None:
 
 
 def test_the_average_is_of_the_last_share_of_the_actors() -> None:
-    config = replace(DDPG, tau=1.0, actor_rate=0.01)
+    config = replace(DDPG, actor_rate=0.01)
     made = Learner(
         N_X,
         gradient_mask(TWO_ARMS, N_U),

@@ -98,6 +98,7 @@ def test_a_set_that_fits_is_read_once_and_stays() -> None:
         stream.feed(updates)
     assert sorted(asked) == list(range(40))
     assert len(window) == window.total == stream.transitions == int(columns.length.sum())
+    assert len([*stream._order()]) == -(-40 // GROUP), "nothing is read ahead for another pass"
 
 
 def test_goals_in_hindsight_are_of_the_same_episode(rng: np.random.Generator) -> None:
