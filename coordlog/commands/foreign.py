@@ -15,6 +15,9 @@ from coordlog.errors import EXIT_INTERRUPTED, ConfigError, CoordlogError
 if TYPE_CHECKING:
     from coordlog.record.foreign import Recorder
 
+OWN = ("expert", "still", "pretrained")
+"""Policies of coordlog's own scenes."""
+
 
 def record_environment(
     name: str, policy: str, *, episodes: int, seed: int, out: Path, as_json: bool
@@ -29,8 +32,14 @@ def record_environment(
     from coordlog.policies.foreign import load
     from coordlog.record.foreign import record_env
 
+    if policy in OWN:
+        raise ConfigError(
+            f"--policy {policy}: acts in coordlog's scenes alone, from joint angles and goals that "
+            f"{name} does not say; "
+            "expected random, FILE.py:NAME or a model of stable-baselines3 (.zip) with --env"
+        )
     env = _make(name)
-    if policy in ("", "random"):
+    if policy == "random":
         env.action_space.seed(seed)
         act = lambda observation: env.action_space.sample()  # noqa: E731
         about: dict[str, Any] = {"kind": "random", "name": "random"}

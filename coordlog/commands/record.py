@@ -33,8 +33,9 @@ EnvId = Annotated[
 Policy = Annotated[
     str,
     typer.Option(
-        help="expert, random, still, pretrained, or a run folder or policy file; "
-        "with --env random, FILE.py:NAME or a model of stable-baselines3."
+        help="expert, random, still, pretrained, or a run folder or policy file, by default "
+        "expert; with --env random, FILE.py:NAME or a model of stable-baselines3, by default "
+        "random."
     ),
 ]
 Count = Annotated[
@@ -85,7 +86,7 @@ Display = Annotated[
 def record(
     scene: Scene = "",
     env_id: EnvId = "",
-    policy: Policy = "expert",
+    policy: Policy = "",
     episodes: Count = None,
     seed: Seed = 0,
     split: Split = "train",
@@ -128,6 +129,7 @@ def record(
     """
     from coordlog.api.recording import RecordPlan, record_scene
 
+    policy = policy or ("random" if env_id else "expert")
     plan = chosen(RecordPlan, locals())
     if env_id:
         _record_environment(env_id, plan, out, as_json=as_json)
@@ -160,8 +162,7 @@ def _record_environment(name: str, plan: RecordPlan, out: Path, *, as_json: bool
         )
     if plan.noise or plan.split != "train":
         raise ConfigError("--env: an environment of its own has no --noise and no --split")
-    acts = "" if plan.policy == "expert" else plan.policy
-    count = plan.episodes or 10
+    count, acts = plan.episodes or 10, plan.policy
     record_environment(name, acts, episodes=count, seed=plan.seed, out=out, as_json=as_json)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf.attached import require_size
-from coordlog.mjcf.demands import some, switched, unknown_names
+from coordlog.mjcf.demands import leave_out, some, switched, unknown_names
 from coordlog.mjcf.printing import Source, printed, refusal
 from coordlog.mjcf.servos import HINGE, SLIDE, make_servos
 from coordlog.mjcf.soles import corners
@@ -60,6 +60,7 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
         SimulationError: if MuJoCo refuses what was composed.
     """
     spec, assets = spec_of(scene.robot)
+    leave_out(spec, scene.robot)
     _name(spec)
     _fit(spec, scene)
     world = spec.worldbody

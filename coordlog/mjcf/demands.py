@@ -10,6 +10,7 @@ from coordlog.robots.robot import Robot
 
 CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
@@ -55,6 +56,20 @@ def switched(spec: mujoco.MjSpec) -> list[str]:
     if not spec.option.timestep > 0:
         said.append(f"its model has the timestep {spec.option.timestep:g} s: expected more than 0")
     return said
+
+
+def leave_out(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Take out of a robot's model what somebody else's scene needs: the ground of a robot on feet,
+    which gets one at its soles, and what ties the robot to a mocap body, which nothing here moves.
+    """
+    if robot.soles:
+        for geom in list(spec.worldbody.geoms):
+            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                spec.delete(geom)
+    for tie in spec.equalities:
+        ends = [spec.body(name) for name in (tie.name1, tie.name2) if name]
+        if int(tie.objtype) == BODY and any(body is not None and body.mocap for body in ends):
+            tie.active = False
 
 
 def some(names: Iterable[object]) -> str:

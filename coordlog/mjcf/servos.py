@@ -86,8 +86,8 @@ def _idle(model: mujoco.MjModel, actuator: int, length: float) -> float:
 
 
 def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
-    """Give every joint of the action a position servo in its own units, and every motor that the
-    robot's gains name.
+    """Give every joint of the action a position servo in its own units, and every motor and every
+    joint that the robot's gains name.
 
     Returns:
         One sentence for each joint that has none and gets none.
@@ -105,7 +105,8 @@ def make_servos(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
         if served or joint.type not in (HINGE, SLIDE):
             continue
         gains = robot.gains(joint.name)
-        if gains is not None and (own or joint.name in robot.action_joints):
+        wanted = own or joint.name in robot.action_joints or joint.name in robot.servo_gains
+        if gains is not None and wanted:
             _serve(spec, joint, own[0] if own else None, gains)
             if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
                 # MuJoCo's default lets a stiff servo on a light link diverge.
@@ -157,6 +158,8 @@ def _serve(
     motor.trntype, motor.target = mujoco.mjtTrn.mjTRN_JOINT, joint.name
     motor.gear = [1.0, 0, 0, 0, 0, 0]
     motor.dyntype = mujoco.mjtDyn.mjDYN_NONE
+    motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    motor.gainprm, motor.biasprm = np.zeros(len(motor.gainprm)), np.zeros(len(motor.biasprm))
     motor.set_to_position(kp, kv=kv)
     motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
     motor.ctrlrange = [0.0, 0.0]
@@ -172,13 +175,15 @@ def _force(motor: mujoco._specs.MjsActuator) -> Array | None:
     force, ctrl = np.array(motor.forcerange), np.array(motor.ctrlrange)
     if force[0] < force[1] and motor.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE:
         return force
-    if ctrl[0] < ctrl[1] and motor.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE:
+    plain = motor.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    if plain and ctrl[0] < ctrl[1] and motor.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE:
         return np.sort(ctrl * (motor.gainprm[0] or 1.0))
     return None
 
 
 def _without(joint: str, own: Sequence[mujoco._specs.MjsActuator]) -> str:
-    what = f"its actuator '{own[0].name}' is a {_kind(own[0])}" if own else "it has no actuator"
+    name = f" '{own[0].name}'" if own and own[0].name else ""
+    what = f"its actuator{name} is a {_kind(own[0])}" if own else "it has no actuator"
     return (
         f"joint '{joint}' has no position servo, {what}: expected one for every joint of the "
         "action; say gains, "

@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from coordlog.errors import ConfigError, SimulationError
+from coordlog.errors import ConfigError
 from coordlog.mjcf.printing import Source, printed
 from coordlog.robots.robot import Arm, Robot
 
@@ -96,7 +96,7 @@ class _Key:
 @lru_cache(maxsize=4)
 def _whole(key: _Key) -> Source:
     robot = key.robot
-    spec = _read(robot)
+    spec = read_spec(robot)
     named = sum(len(each) for each in (spec.meshes, spec.textures, spec.hfields, spec.skins))
     text = robot.mjcf if isinstance(robot.mjcf, str) else ""
     if text and not named and not _is_urdf(text) and "<include" not in text:
@@ -108,17 +108,17 @@ def _whole(key: _Key) -> Source:
         )
     spec.compiler.fusestatic = False  # a base that is fused into the world would be an obstacle
     spec.compiler.discardvisual = False
-    visual = _drop_pictures(spec)
+    visual = drop_pictures(spec)
     inferred = any(not geom.parent.explicitinertial for geom in visual)
     if not inferred:
-        _delete(spec, visual)
-    files = _files(spec, robot)
+        delete(spec, visual)
+    files = files_of(spec, robot)
     spec.assets = files
     try:
         model = spec.compile()
         _keep_inertia(spec, model)
         if inferred:
-            _delete(spec, visual)
+            delete(spec, visual)
         files |= _hulls(spec, model)
         spec.assets = files
         spec.compile()
@@ -128,7 +128,12 @@ def _whole(key: _Key) -> Source:
     return Source(printed(spec), {name: data for name, data in files.items() if name in kept})
 
 
-def _read(robot: Robot) -> mujoco.MjSpec:
+def read_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot's model as it lies there, its includes read.
+
+    Raises:
+        ConfigError: if there is none, or MuJoCo refuses it.
+    """
     _without_nan(robot)
     try:
         if isinstance(robot.mjcf, Path):
@@ -182,7 +187,7 @@ def _is_urdf(text: str) -> bool:
     return "<robot" in text and "<mujoco" not in text.split("<robot")[0]
 
 
-def _drop_pictures(spec: mujoco.MjSpec) -> list[Any]:
+def drop_pictures(spec: mujoco.MjSpec) -> list[Any]:
     """Take textures and skins out, and leave colours; the mesh geoms that nothing collides with."""
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
@@ -199,7 +204,7 @@ def _drop_pictures(spec: mujoco.MjSpec) -> list[Any]:
     ]
 
 
-def _delete(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
+def delete(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
     """Delete geoms, and the meshes that no other geom has."""
     for geom in geoms:
         spec.delete(geom)
@@ -209,7 +214,7 @@ def _delete(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
             spec.delete(mesh)
 
 
-def _files(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
+def files_of(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
     """Read every file the spec still names, and give it there the SHA-256 of its bytes as a name.
 
     Raises:
@@ -288,12 +293,12 @@ def _keep_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             continue
         if body.explicitinertial and not every:
             continue
-        _state_inertia(body, model)
+        state_inertia(body, model)
     if every:
         spec.compiler.inertiafromgeom, spec.compiler.settotalmass = FROM_GEOMS_IF_NONE, -1
 
 
-def _state_inertia(body: Any, model: mujoco.MjModel) -> None:
+def state_inertia(body: Any, model: mujoco.MjModel) -> None:
     """Let a body say the inertia it has in a compiled model."""
     body.explicitinertial = True
     body.mass = model.body_mass[body.id]
@@ -336,35 +341,3 @@ def _hull(model: mujoco.MjModel, mesh: int) -> bytes:
     return "".join(
         f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in places + model.mesh_pos[mesh] + 0.0
     ).encode()
-
-
-def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
-    """The text of a model, and the files it needs to collide, with nothing reduced: what compiles
-    to the very physics of a compiled model, as that has been changed since. None where MuJoCo or
-    its files do not allow it.
-    """
-    name = given.stem if isinstance(given, Path) else "model"
-    robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
-    try:
-        spec = _read(robot)
-        _copy_back(spec, model)
-        visual = _drop_pictures(spec)
-        if not any(not geom.parent.explicitinertial for geom in visual):
-            _delete(spec, visual)
-        files = _files(spec, robot)
-        spec.assets = files
-        spec.compile()
-        return Source(printed(spec), files)
-    except (ConfigError, SimulationError, ValueError, RuntimeError):
-        return None
-
-
-def _copy_back(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Take over what has been changed in a model since it was compiled."""
-    spec.compile()
-    spec.copy_back(model)
-    spec.stat.meaninertia = np.nan  # worked out again by whoever compiles it
-    fresh = spec.compile()
-    for body in spec.bodies[1:]:
-        if model.body_mass[body.id] != fresh.body_mass[body.id]:  # it followed from its geoms
-            _state_inertia(body, model)

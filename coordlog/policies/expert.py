@@ -227,11 +227,14 @@ class Expert:
         spread = (
             self._config.spread * self._moves * self._step / self._step.max()
         )  # a slow spine's detour would take the whole episode
+
+        def bent(via: Array) -> Array:
+            return np.asarray(np.clip(via + spread * rng.standard_normal(len(via)), low, high))
+
         for _ in range(self._config.tries):
-            vias = [
-                np.clip(via + spread * rng.standard_normal(len(via)), low, high) for via in ways[0]
-            ]
+            moved = [bent(via) for via in ways[0]]
             for end in ends:
+                vias = moved or [bent((start + end) / 2)]  # about the middle of the straight way
                 if self._clear([start, *vias, end], self._config.clearances[-1]):
                     return [*vias, end]
         return [*ways[0], ends[0]]

@@ -12,7 +12,7 @@ from coordlog.mjcf import compile_model, compose, pack_source
 from coordlog.robots.robot import Robot
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.sampler import FEASIBLE
-from coordlog.sim.settling import faults, settle
+from coordlog.sim.settling import doubts, faults, settle
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import Scene
 
@@ -50,11 +50,14 @@ def examine(
         return Report([str(error)], [])
     names = [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)]
     wrong = faults(scene.robot, model, start, rest)
+    held = not any(
+        "is not held" in said for said in wrong
+    )  # what touches after a fall says nothing
     wrong += [
         f"in its start pose {names[one]} touches {names[other]}: every episode would begin with a "
         "collision; "
         "choose another pose, or exclude their bodies"
-        for one, other in rest.touching
+        for one, other in rest.touching * held
     ]
     asked = [int(model.joint(name).qposadr[0]) for name in scene.robot.action_joints]
     away = np.abs(rest.row[1 : 1 + model.nq] - rest.asked)[asked]
@@ -68,6 +71,7 @@ def examine(
         ("let be", ", ".join(f"{names[a]} and {names[b]}" for a, b in rest.resting) or "nothing"),
         ("model", f"{sum(map(len, pack_source(source).values())) / 1e3:.0f} kB in every file"),
     ]
+    facts += [("mind", doubt) for doubt in doubts(scene.robot, model)]
     if wrong:
         return Report(wrong, facts)
     try:

@@ -46,13 +46,15 @@ def make_env(
         threads: Threads to simulate on.
         like: A `coordlog.env` record whose constants hold where the tables say nothing: those of
             the logs, or of a policy's training.
-        doubts: Told what is doubtful about reward constants that the tables name.
+        doubts: Told what is doubtful about reward constants that the tables name, and about the
+            robot.
 
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
     from coordlog.config import build, plain
     from coordlog.sim.env import BatchEnv, default_config
+    from coordlog.sim.settling import doubts as doubtful
     from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.registry import SAID
     from coordlog.tasks.scene import find
@@ -66,10 +68,7 @@ def make_env(
     reward = build(RewardConfig, before["reward"] | tables.get("reward", {}))
     config = plain(default_config(place)) | before["config"] | tables.get("env", {})
     constants = build(EnvConfig, config)
-    if doubts is not None and "reward" in tables:
-        for doubt in reward.doubts(steps=constants.max_steps):
-            doubts(doubt)
-    return BatchEnv(
+    env = BatchEnv(
         place,
         constants,
         reward,
@@ -78,3 +77,8 @@ def make_env(
         start=start,
         task=own | tables.get("task", {}),
     )
+    if doubts is not None:
+        said = reward.doubts(steps=constants.max_steps) if "reward" in tables else []
+        for doubt in [*said, *doubtful(place.robot, env.task.model)]:
+            doubts(doubt)
+    return env

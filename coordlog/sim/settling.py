@@ -23,6 +23,8 @@ LEANT = 0.2
 """A base turned by this much has fallen, too [rad]."""
 MOVING = 0.1
 """A joint this fast does not rest [rad/s, m/s]."""
+LOCKED = 1e4
+"""A joint with more damping does not move [N·s/m, N·m·s/rad]."""
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 
@@ -205,10 +207,62 @@ def _held(robot: Robot, model: mujoco.MjModel, pose: str, rest: Rest) -> list[st
             said.append(
                 f"pose '{pose}' is not held: joint '{name}' was asked to be at "
                 f"{rest.asked[at]:.3f} {unit} and came to rest "
-                f"at {qpos[at]:.3f} {unit}; stiffen its servo or choose another pose"
+                f"at {qpos[at]:.3f} {unit}; {_tied(model, name)}stiffen its servo or choose "
+                "another pose"
             )
     return said
 
 
+def _tied(model: mujoco.MjModel, name: str) -> str:
+    """What an equality of the model ties a joint to, as the beginning of a sentence."""
+    joint, found = model.joint(name).id, []
+    for tie in np.flatnonzero(model.eq_active0 & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT)):
+        pair = [int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])]
+        if joint in pair:
+            other = pair[1 - pair.index(joint)]
+            found.append(f"'{model.joint(other).name}'" if other >= 0 else "a fixed place")
+    return f"an equality ties it to {' and '.join(found)}: leave it out of the action, or " * bool(
+        found
+    )
+
+
 def _list(names: list[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
+
+
+def doubts(robot: Robot, model: mujoco.MjModel) -> list[str]:
+    """What a person should know before trusting an episode's flags, one sentence each."""
+    said = []
+    action = {model.joint(name).id for name in robot.action_joints}
+    solid = (model.geom_contype | model.geom_conaffinity) > 0
+    solid[model.pair_geom1] = solid[model.pair_geom2] = True
+    carried = [bool(moving(model, int(body)) & action) for body in model.geom_bodyid]
+    if not (solid & carried).any():
+        said.append(
+            "no geom on a link that the action moves collides with anything (contype and "
+            "conaffinity are 0, or there is none): "
+            "no collision can be seen, and clean means nothing but success"
+        )
+    else:
+        for arm in robot.arms:
+            own = {model.joint(name).id for name in arm.joints}
+            if own and not any(
+                solid[g] and moving(model, int(model.geom_bodyid[g])) & own
+                for g in range(model.ngeom)
+            ):
+                said.append(f"no geom of arm '{arm.name}' collides with anything")
+    driven = {int(model.actuator_trnid[i, 0]) for i in range(model.nu)}
+    palms = {j for arm in robot.arms for j in moving(model, int(model.site(arm.palm).bodyid[0]))}
+    for joint in sorted(palms - action - driven):
+        damping = model.dof_damping[int(model.jnt_dofadr[joint])]
+        if model.jnt_type[joint] != FREE and np.max(damping) < LOCKED:
+            name = model.joint(joint).name or f"joint {joint}"
+            said.append(
+                f"joint '{name}' carries a palm and nothing drives it: what it carries sways"
+            )
+    for tie in np.flatnonzero((model.eq_objtype == mujoco.mjtObj.mjOBJ_BODY) & ~model.eq_active0):
+        ends = [int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])]
+        if (model.body_mocapid[ends] >= 0).any():
+            names = " and ".join(f"'{model.body(body).name}'" for body in ends)
+            said.append(f"what ties {names} is off: no mocap body of the robot's is moved here")
+    return said

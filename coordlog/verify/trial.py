@@ -28,6 +28,8 @@ from coordlog.verify.finding import Finding
 
 SECONDS = 8
 """Processor time that compiling a model and a few steps may take [s]."""
+PATIENCE = 20
+"""Seconds that may pass for each of them on a machine with other work."""
 MEMORY = 6 << 30
 """Address space of the process that tries a model [bytes]."""
 BUDGET = 60.0
@@ -86,12 +88,12 @@ def _in_a_child(attached: Mapping[str, bytes]) -> tuple[float, float] | str:
             [sys.executable, *COMMAND],
             input=pickle.dumps(dict(attached)),
             capture_output=True,
-            timeout=4 * SECONDS,
+            timeout=PATIENCE * SECONDS,
             env=environment,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"one that was still busy after {4 * SECONDS} s"
+        return f"one that was still busy after {PATIENCE * SECONDS} s"
     said = done.stdout.decode("utf-8", "replace").strip()
     if done.returncode == 0:
         timestep, cost = said.split()

@@ -80,7 +80,8 @@ def importing(work: Path, *, count: int = 10_000, joints: int = 7) -> None:
         out = work / "in"
         least = cpu(partial(import_source, path, out, Plan(), None, force=True))
         print(
-            f"import {plugin.name.lower()}: {least / count * 1e6:.2f} µs a message; played one by one {played / count * 1e6:.1f} µs, {played / least:.1f} ×",
+            f"import {plugin.name.lower()}: {least / count * 1e6:.2f} µs a message; played one by "
+            f"one {played / count * 1e6:.1f} µs, {played / least:.1f} ×",
             flush=True,
         )
 
@@ -116,7 +117,8 @@ def rendering(path: Path) -> None:
     others = cpu(bare, times=2)
     count = states * len(CAMERAS)
     print(
-        f"render: {count / ours:.0f} frames a second of processor time, replay proven; bare mujoco.Renderer {count / others:.0f}; {others / ours:.2f} ×"
+        f"render: {count / ours:.0f} frames a second of processor time, replay proven; bare "
+        f"mujoco.Renderer {count / others:.0f}; {others / ours:.2f} ×"
     )
 
 

@@ -2,13 +2,15 @@
 logged as such, and what cannot be replayed is said at the step that shows it."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import pytest
 
 from coordlog.errors import ConfigError, SimulationError, SpecError
-from coordlog.record.foreign import Recorder, attachments_of, record_env, recording, simulation_of
+from coordlog.record.foreign import Recorder, record_env, recording
+from coordlog.record.foreign_env import attachments_of, simulation_of
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
 from coordlog.sim.foreign import Watch
@@ -302,3 +304,103 @@ def test_a_policy_of_the_users_that_fails_is_said_to_be_theirs(name, said, tmp_p
         record_environment(
             "Reacher-v5", chosen, episodes=1, seed=0, out=tmp_path / "out", as_json=False
         )
+
+
+class Step(NamedTuple):
+    """A time step as dm_env has it."""
+
+    step_type: int
+    reward: float | None
+    discount: float | None
+    observation: dict
+
+    def last(self):
+        return self.step_type == 2
+
+
+class Control(Env):
+    """A swing as dm_control has it."""
+
+    def _timed(self, kind, discount=1.0):
+        return Step(kind, -1.0, discount, {"qpos": self.data.qpos.copy()})
+
+    def reset(self):
+        super().reset(0)
+        return self._timed(0)
+
+    def step(self, action):
+        over = super().step(action)[3]
+        return self._timed(2 if over else 1, 0.0 if self.habit == "ends" else 1.0)
+
+
+class Suite(Env):
+    """A swing as robosuite has it."""
+
+    def reset(self):
+        return {"qpos": super().reset(0)[0][:2]}
+
+    def step(self, action):
+        seen, reward, _, over, info = super().step(action)
+        return {"qpos": seen[:2]}, reward, over, info
+
+
+@pytest.mark.parametrize(
+    ("env", "terminated"), [(Control(), False), (Control("ends"), True), (Suite(), True)]
+)
+def test_environments_of_other_libraries_are_recorded_as_they_are(env, terminated, tmp_path):
+    done = record_env(env, lambda seen: -0.1 * seen["qpos"], episodes=1, out=tmp_path, source=TEXT)
+    episode = read_episode(done.files[0])
+    assert episode.terminated[-1] == terminated
+    assert episode.truncated[-1] != terminated
+    assert check_replay(done.files).findings == []
+
+
+def test_a_second_recorder_knows_the_text_though_mujoco_has_compiled_others_since(tmp_path):
+    env = Env()
+    for _ in range(2):
+        with Recorder(env, tmp_path) as recorder:
+            recorder.reset(seed=0)
+            recorder.step(np.zeros(2))
+        mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
+    assert len(list(tmp_path.glob("*.mcap"))) == 2
+
+
+def test_each_environment_of_a_vectorised_one_has_its_own_files(tmp_path):
+    gym = pytest.importorskip("gymnasium")
+    pytest.importorskip("imageio")
+    envs = gym.vector.SyncVectorEnv([lambda: gym.make("Reacher-v5", max_episode_steps=4)] * 2)
+    own = list(envs.envs)
+    with Recorder(envs, tmp_path) as recorder:
+        recorder.reset(seed=0)
+        for _ in range(8):
+            recorder.step(np.zeros((2, 2)))
+    assert list(envs.envs) == own
+    assert recorder.steps == 14  # after an ending, Gymnasium's next step is a reset
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) == 4
+    assert set(files) <= set(recorder.files)
+    replays = check_replay(files)
+    assert (replays.steps, replays.findings) == (14, [])
+
+
+def test_environments_in_other_processes_are_refused():
+    class Many:
+        num_envs = 3
+
+    with pytest.raises(ConfigError, match=r"use gymnasium\.vector\.SyncVectorEnv"):
+        simulation_of(Many())
+
+
+def test_a_weld_that_was_set_after_compilation_is_logged_as_it_is(tmp_path):
+    hold = '<body name="hand" mocap="true" pos="0 0 1"/>'
+    tie = '<equality><weld body1="hand" body2="bob"/></equality>'
+    bob = '<body name="bob" pos=".1 .2 .9"><freejoint/><geom size=".05"/></body>'
+    held = TEXT.replace("</worldbody>", hold + bob + "</worldbody>" + tie)
+    model = mujoco.MjModel.from_xml_string(held)
+    model.eq_data[0, 3:10] = (0, 0, 0, 1, 0, 0, 0)
+    data = mujoco.MjData(model)
+    with recording(model, data, tmp_path, source=held) as log:
+        for _ in range(5):
+            mujoco.mj_step(model, data, 2)
+            log.step(data.ctrl)
+    assert check_replay(list(tmp_path.glob("*.mcap"))).findings == []

@@ -78,7 +78,8 @@ def test_a_file_overrides_the_preset_and_an_assignment_overrides_the_file(tmp_pa
         ),
         (
             "learning.gamma=0.9",
-            "unknown section 'learning'; choose one of: behaviour, learner, loop, network, noise, replay",
+            "unknown section 'learning'; choose one of: behaviour, learner, loop, network, noise, "
+            "replay",
         ),
         ("gamma=0.9", "--set: expected section.key=value, got 'gamma=0.9'"),
         ("learner.gamma", "--set: expected section.key=value"),

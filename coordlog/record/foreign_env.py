@@ -1,0 +1,168 @@
+"""Environments of other people's libraries: where their simulation is, and what they give."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from coordlog.errors import ConfigError, SpecError
+from coordlog.mjcf import load_attached, same_physics, text_of
+
+VECTORISED = (
+    "{}: several environments in one, whose simulations cannot be told apart or are in other "
+    "processes: "
+    "use gymnasium.vector.SyncVectorEnv, of which each environment is recorded, or record each by "
+    "itself"
+)
+
+REMEMBERED = 8
+"""Models whose text is remembered."""
+_seen: list[tuple[mujoco.MjModel, dict[str, bytes]]] = []
+
+
+class Given(NamedTuple):
+    """What an environment gave after a step, as Gymnasium has it."""
+
+    observation: Any
+    reward: Any
+    terminated: bool
+    truncated: bool
+    info: Mapping[str, Any]
+
+
+def attachments_of(model: mujoco.MjModel, source: Path | str | None = None) -> dict[str, bytes]:
+    """A model that somebody else has compiled, as attachments.
+
+    Args:
+        model: As it is simulated.
+        source: The file or the text it was compiled from; None for what MuJoCo compiled last.
+
+    Raises:
+        ConfigError: if no text is known that compiles to the same physics.
+    """
+    attached = text_of(model, source) or _known(model)
+    _seen.insert(0, (model, attached))
+    del _seen[REMEMBERED:]
+    if not attached:
+        raise ConfigError(
+            "the text that the model was compiled from is not known, or compiles to other "
+            "physics: give it as `source`, a path or MJCF text"
+        )
+    return attached
+
+
+def _known(model: mujoco.MjModel) -> dict[str, bytes]:
+    """What was found for the same model before: MuJoCo keeps the text of the last one alone."""
+    for other, attached in _seen:
+        if other is model and attached and same_physics(load_attached(attached), model):
+            return attached
+    return {}
+
+
+def simulation_of(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The MuJoCo model and data of an environment, wherever its library keeps them.
+
+    Raises:
+        ConfigError: if it has none.
+    """
+    inner = getattr(env, "unwrapped", env)
+    if getattr(env, "num_envs", 1) != 1:
+        raise ConfigError(VECTORISED.format(type(inner).__name__))
+    for holder in (inner, getattr(inner, "physics", None), getattr(inner, "sim", None)):
+        model, data = getattr(holder, "model", None), getattr(holder, "data", None)
+        for name in ("ptr", "_model"):
+            model = getattr(model, name, model)
+        for name in ("ptr", "_data"):
+            data = getattr(data, name, data)
+        if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
+            return model, data
+    raise ConfigError(
+        f"{type(inner).__name__}: expected an environment on MuJoCo, one with `model` and `data` "
+        "(or `physics`, or `sim`), found neither"
+    )
+
+
+def several(env: Any) -> list[Any]:
+    """The environments of a vectorised one that steps them one after another in this process
+    (Gymnasium's SyncVectorEnv); none of any other.
+    """
+    inner = getattr(env, "unwrapped", env)
+    each = getattr(inner, "envs", None)
+    if not isinstance(each, list | tuple) or len(each) != getattr(inner, "num_envs", 0):
+        return []
+    return list(each)
+
+
+def at_first(given: Any) -> tuple[Any, Mapping[str, Any]]:
+    """Observation and info of what `reset` gave: as Gymnasium has it, a time step of dm_env, or an
+    observation alone.
+
+    Raises:
+        SpecError: if it is none of these.
+    """
+    if hasattr(given, "step_type"):
+        return given.observation, {}
+    if isinstance(given, tuple):
+        if len(given) == 2 and isinstance(given[1], Mapping):
+            return given[0], given[1]
+        raise SpecError(
+            f"reset: expected observation, info as of Gymnasium, got {len(given)} values"
+        )
+    if isinstance(given, Mapping | np.ndarray):
+        return given, {}
+    raise SpecError(
+        f"reset: expected observation, info as of Gymnasium, got a {type(given).__name__}"
+    )
+
+
+def after(env: Any, given: Any) -> Given:
+    """What `step` gave, as Gymnasium has it: from Gymnasium, from dm_env (a time step), or from
+    robosuite and others that say observation, reward, done, info.
+
+    Raises:
+        SpecError: if it is none of these, or of several environments.
+    """
+    if hasattr(given, "step_type"):
+        over = bool(given.last())
+        ended = over and given.discount == 0.0
+        found = Given(given.observation, given.reward, ended, over and not ended, {})
+    elif isinstance(given, tuple) and len(given) == 5:
+        found = Given(*given)
+    elif isinstance(given, tuple) and len(given) == 4 and isinstance(given[3], Mapping):
+        observation, reward, done, info = given
+        horizon = getattr(env, "horizon", None)
+        cut = info.get("TimeLimit.truncated", horizon is not None and env.timestep >= horizon)
+        found = Given(observation, reward, done and not cut, done and cut, info)
+    else:
+        got = f"{len(given)} values" if isinstance(given, tuple) else f"a {type(given).__name__}"
+        raise SpecError(
+            "step: expected observation, reward, terminated, truncated, info as of Gymnasium, got "
+            f"{got}"
+        )
+    if np.size(found.terminated) != 1 or np.size(found.truncated) != 1:
+        raise SpecError(VECTORISED.format(type(env).__name__))
+    return found
+
+
+def takes_seed(reset: Callable[..., Any]) -> bool:
+    """Whether a `reset` takes a seed."""
+    known = inspect.signature(reset).parameters.values()
+    return any(item.name == "seed" or item.kind is item.VAR_KEYWORD for item in known)
+
+
+def file_of(env: Any) -> Path | None:
+    """The model's file, where the environment says which it is."""
+    path = getattr(getattr(env, "unwrapped", env), "fullpath", None)
+    return Path(path) if isinstance(path, str) and Path(path).is_file() else None
+
+
+def name_of(env: Any) -> str:
+    """What an environment is called: by its id, else its task or class."""
+    inner = getattr(env, "unwrapped", env)
+    said = getattr(getattr(env, "spec", None), "id", None) or type(inner).__name__
+    return str(said).replace("/", "_")
