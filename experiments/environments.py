@@ -27,7 +27,7 @@ from coordlog.verify.physics import check_replay
 
 EPISODES = 63
 """Of each: eight environments make 500 together."""
-COSTED = 300
+COSTED = 1000
 """Steps over which costs are taken."""
 ROUNDS = 3
 HEAD = (

@@ -5,8 +5,8 @@ with a model and data.
     with recording(model, data, "logs/") as log: …              log.step(action, reward, …)
     record_env(env, policy, episodes=10, out="logs/")
 
-A file holds the model, the first full state, and whatever the physics was given; each step is taken
-again from that while it is recorded (sim/foreign.py), so a file that is there replays.
+A file holds the model, the first full state, and whatever the physics was given; the steps are
+taken again from that while they are recorded (sim/foreign.py), so a file that is there replays.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ import mujoco
 from coordlog.episode import Json
 from coordlog.errors import SimulationError
 from coordlog.record.foreign_env import (
+    Subject,
     after,
     at_first,
-    attachments_of,
     file_of,
     name_of,
     several,
@@ -67,7 +67,7 @@ class Recorder:
             env: With `reset`, `step`, and a MuJoCo model and data.
             out: Folder; files already in it stay as they are.
             policy: What is known of who acts: kind, name, checkpoint_sha256.
-            verify: Take each step again while recording.
+            verify: Take the steps again while recording.
             source: The file or the text that its model was compiled from, where the environment
                 does not say it.
 
@@ -90,8 +90,7 @@ class Recorder:
         if self._each:
             env.unwrapped.envs = type(env.unwrapped.envs)(self._each)
         else:
-            self._model, _ = simulation_of(env)
-            self._attached = attachments_of(self._model, self._source)
+            self._subject = Subject(simulation_of(env)[0], self._source)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
@@ -104,8 +103,8 @@ class Recorder:
         given = self._env.reset(**options)
         observation, _ = at_first(given)
         model, data = simulation_of(self._env)
-        if model is not self._model:  # some environments compile one for every episode
-            self._model, self._attached = model, attachments_of(model, self._source)
+        if model is not self._subject.model:  # some environments compile one for every episode
+            self._subject = Subject(model, self._source)
         name, index = name_of(self._env), len(self.files)
         path = self._out / f"{name}-{index:06d}-{self.run}.mcap"
         about = {
@@ -122,10 +121,9 @@ class Recorder:
             "task": {"environment": name},
         }
         self._log = EpisodeLog(
-            model,
+            self._subject,
             data,
             path,
-            attached=self._attached,
             about=about,
             observation=observation,
             verify=self._verify,
@@ -143,7 +141,6 @@ class Recorder:
             return self._env.step(action)
         if self._log is None:
             raise SimulationError("step: expected an episode under way; call reset first")
-        self._log.mark()
         given = self._env.step(action)
         found, log = after(self._env, given), self._log
         log.step(
@@ -222,7 +219,7 @@ def recording(
         out: Folder; files already in it stay as they are.
         name: What the scene is called.
         observation: What the policy sees first.
-        verify: Take each step again while recording.
+        verify: Take the steps again while recording.
         source: The file or the text that the model was compiled from; None for what MuJoCo compiled
             last.
 
@@ -246,10 +243,9 @@ def recording(
     }
     path = Path(out) / f"{name.replace('/', '_')}-000000-{run}.mcap"
     log = EpisodeLog(
-        model,
+        Subject(model, source),
         data,
         path,
-        attached=attachments_of(model, source),
         about={"episode": episode},
         observation=observation,
         verify=verify,
@@ -279,7 +275,7 @@ def record_env(
         out: Folder; files already in it stay as they are.
         seed: Of the first episode; each next one is one more. Not for a `reset` that takes none.
         about: What is known of the policy: kind, name, checkpoint_sha256.
-        verify: Take each step again while recording.
+        verify: Take the steps again while recording.
         source: The file or the text that its model was compiled from, where it does not say it.
         each: Called after every episode.
 

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, SpecError
-from coordlog.mjcf import load_attached, same_physics, text_of
+from coordlog.mjcf import actuator_label, load_attached, same_physics, text_of
+from coordlog.record.display import Shown
+from coordlog.sim.description import Description
+from coordlog.sim.env import hinges
+from coordlog.sim.foreign import Shadow
 
 VECTORISED = (
     "{}: several environments in one, whose simulations cannot be told apart or are in other "
@@ -33,6 +39,51 @@ class Given(NamedTuple):
     terminated: bool
     truncated: bool
     info: Mapping[str, Any]
+
+
+class Subject:
+    """A model that somebody else has compiled, and what is made of it once for all its episodes.
+
+    Example:
+        >>> subject = Subject(env.unwrapped.model)              # doctest: +SKIP
+        >>> subject.attached["model.xml"][:7]                   # doctest: +SKIP
+        b'<mujoco'
+    """
+
+    def __init__(self, model: mujoco.MjModel, source: Path | str | None = None) -> None:
+        """Arguments and errors as of `attachments_of`."""
+        self.model, self.attached = model, attachments_of(model, source)
+        self._shadow: Shadow | None = None
+
+    def shadow(self, start: Array) -> Shadow:
+        """A second simulation, on the model as it is logged, in a full state."""
+        if self._shadow is None:
+            self._shadow = Shadow(self._logged, start)
+        else:
+            self._shadow.begin(start)
+        return self._shadow
+
+    def shown(self, start: Array) -> Shown:
+        """What viewers see of an episode that begins in a full state."""
+        return Shown(self._description, start)
+
+    @cached_property
+    def parts(self) -> Json:
+        """Names of its joints, actuators and geoms, as a header has them."""
+        model = self.model
+        return {
+            "joints": hinges(model),
+            "actuators": [actuator_label(model, i) for i in range(model.nu)],
+            "geoms": [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)],
+        }
+
+    @cached_property
+    def _logged(self) -> mujoco.MjModel:
+        return load_attached(self.attached)
+
+    @cached_property
+    def _description(self) -> Description:
+        return Description(self._logged)
 
 
 def attachments_of(model: mujoco.MjModel, source: Path | str | None = None) -> dict[str, bytes]:
@@ -144,7 +195,8 @@ def after(env: Any, given: Any) -> Given:
             "step: expected observation, reward, terminated, truncated, info as of Gymnasium, got "
             f"{got}"
         )
-    if np.size(found.terminated) != 1 or np.size(found.truncated) != 1:
+    ends = found.terminated, found.truncated
+    if not all(type(end) is bool or np.size(end) == 1 for end in ends):
         raise SpecError(VECTORISED.format(type(env).__name__))
     return found
 

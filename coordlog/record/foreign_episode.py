@@ -1,7 +1,18 @@
-"""One episode of a simulation that its owner steps: each step followed, and logged as it was."""
+"""One episode of a simulation that somebody else steps, as it becomes a file.
+
+    log = EpisodeLog(subject, data, path, about=…)
+    mujoco.mj_step(subject.model, data)             the owner's step, whatever it is
+    log.step(action, reward)                        logged, and soon taken again
+
+A step costs its owner little: its values are written in place, and some steps later all of them are
+taken again together, from what is going to be logged (sim/foreign.py). The first step that cannot
+be is refused: what came before it is the file. States that the owner set are noticed and logged as
+such.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -11,13 +22,20 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import INITIAL_STATE, Array, Json
-from coordlog.errors import SimulationError, SpecError
-from coordlog.mjcf import load_attached
-from coordlog.record.foreign_values import count, flat, header_of, numbers
+from coordlog.errors import CoordlogError, SimulationError, SpecError
+from coordlog.record.foreign_env import Subject
+from coordlog.record.foreign_values import Rows, header_of, odd
 from coordlog.record.writer import BLOCK, EpisodeWriter
-from coordlog.sim.foreign import SUBSTEPS, Followed, Shadow, Watch, state_of
+from coordlog.sim.foreign import SUBSTEPS, Change, Parts, Steps
 from coordlog.sim.inputs import Inputs
+from coordlog.sim.watch import STATE, Watch, state_of
 from coordlog.spec import INPUTS
+
+MOST_STEPS, MOST_BYTES = 512, 1 << 23
+"""Room for the steps of a chunk: fewer where a step is large."""
+SECONDS = 1.0
+"""A chunk is written no later than this after the one before, if it has `BLOCK` steps: so much may
+a crash cost."""
 
 
 class EpisodeLog:
@@ -29,11 +47,10 @@ class EpisodeLog:
 
     def __init__(
         self,
-        model: mujoco.MjModel,
+        subject: Subject,
         data: mujoco.MjData,
         path: Path,
         *,
-        attached: Mapping[str, bytes],
         about: Json,
         observation: Any = None,
         verify: bool = True,
@@ -41,32 +58,37 @@ class EpisodeLog:
         """Begin in the present state.
 
         Args:
-            model: What is simulated.
+            subject: What is simulated.
             data: Its state.
             path: Name of the file, once it is finished.
-            attached: The model as attachments (`attachments_of`).
             about: What is known of the episode: "episode" and "policy" records, in part, the names
                 of "heads", and the "task" record.
             observation: What the policy sees first; without one the state is qpos and qvel.
-            verify: Take each step again while recording.
+            verify: Take the steps again while recording.
         """
-        self._model, self._data, self._path, self._about = model, data, path, about
-        self._attached = {**attached, INITIAL_STATE: state_of(model, data).tobytes()}
-        self._watch = Watch(model, data) if verify else None
-        logged = load_attached(attached) if verify else model
-        self._shadow = Shadow(logged, state_of(model, data)) if verify else None
-        self._inputs = Inputs(model, n=1)
-        self._start, self._before = float(data.time), state_of(model, data)
+        self._subject, self._model, self._data = subject, subject.model, data
+        self._path, self._about = path, about
+        self._start = state_of(self._model, data)
+        self._shadow = subject.shadow(self._start) if verify else None
+        self._parts = Parts(self._model) if self._shadow is None else self._shadow.parts
+        self._inputs = Inputs(self._model, n=1)
+        width = self._start.size + np.size(observation)
+        room = min(max(MOST_BYTES // (8 * width), BLOCK), MOST_STEPS)
+        self._states = np.empty((room + 1, self._start.size))
+        self._states[0] = self._start
+        self._force = data.actuator_force
+        self._torque = np.empty((room, self._model.nu))
+        self._rows = Rows(room, observation)
+        self._watch = Watch(self._model, data) if verify else None
+        self._seen: list[list[Array]] = []
+        self._next = 1  # what cannot be taken again mostly shows at once
+        self._begin_block()
         self._writer: EpisodeWriter | None = None
-        self._rows: list[dict[str, Array]] = []
-        self._changes: list[tuple[int, int, Array]] = []
-        self._seen = self._present(observation)
-        self._like: dict[str, tuple[Any, tuple[int, ...]]] | None = None
         self._closed = False
         self.length = 0
         """Steps so far."""
         self.set_from_outside = 0
-        """Steps in which the state was set from outside."""
+        """Steps in which the state was set from outside, of those that were taken again."""
 
     def step(
         self,
@@ -89,85 +111,45 @@ class EpisodeLog:
             info: Its numbers are logged, under the names they have at the first step.
 
         Raises:
-            SimulationError: if the step cannot be taken again from what is logged; what came before
-                stays in the file, which is closed as aborted.
-            SpecError: for a NaN, or another number of values than before.
+            SimulationError: if this step, or one of the `BLOCK` before it, cannot be taken again
+                from what is logged; what came before that one stays in the file, which is closed as
+                aborted.
+            SpecError: for a NaN, or another number of values than before; likewise.
         """
         if self._closed:
             raise SimulationError("step: the episode has ended; begin another")
+        at = self._count
+        state = self._states[at + 1]
+        mujoco.mj_getState(self._model, self._data, state, STATE)
         try:
-            followed = self._follow(state_of(self._model, self._data))
-        except SimulationError as error:
-            self.close(aborted=f"not replayable at step {self.length}: {error}")
-            raise SimulationError(f"step {self.length} cannot be replayed: {error}") from None
-        try:
-            row, seen = self._row(action, reward, observation=observation, info=info or {})
-        except SpecError as error:
-            self.close(aborted=f"step {self.length}: {error}")
-            raise SpecError(f"step {self.length}: {error}") from None
-        row["terminated"] = np.array(bool(terminated))
-        row["truncated"] = np.array(bool(truncated) and not terminated)
-        row[SUBSTEPS] = np.array(followed.substeps, dtype=np.int32)
-        for change in followed.changes:
-            self._changes.append((self.length, change.substep, change.row))
-        self.set_from_outside += followed.outside
-        self._rows.append(row)
-        self._seen = seen
+            if not state[0] > self._states[at, 0]:
+                raise _no_step(self._states[at, 0], state[0])
+            self._rows.put(at, action, reward, observation, info or {})
+        except CoordlogError as error:
+            self._examine()
+            raise self._refused(error) from None
+        self._torque[at] = self._force
+        if self._watch is not None:
+            self._seen.append(self._watch.taken())
+        self._count = at + 1
         self.length += 1
-        if len(self._rows) == BLOCK or terminated or truncated:
-            self._flush()
         if terminated or truncated:
+            self._ending = bool(terminated), not terminated
             self.close(aborted="")
-
-    def _row(
-        self, action: Any, reward: Any, *, observation: Any, info: Mapping[str, Any]
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
-        """The values of a step, and those that hold after it.
-
-        Raises:
-            SpecError: for a NaN, or for values of another kind or number than before.
-        """
-        seen = self._present(observation)
-        row = dict(self._seen)
-        row["action"] = flat(action).astype(np.float32)
-        row["reward"] = flat(reward).astype(np.float64)
-        row["ctrl"], row["torque"] = self._data.ctrl.copy(), self._data.actuator_force.copy()
-        said = {f"info_{key}": value for key, value in numbers(info).items()}
-        if self._like is None:
-            self._like = {name: (v.dtype, v.shape) for name, v in (row | said).items()}
-        wanted = [name for name in self._like if name.startswith("info_")]
-        if missing := [name for name in wanted if name not in said]:
-            raise SpecError(
-                f"info: expected the numbers of the first step, {missing[0].removeprefix('info_')} "
-                "is missing"
-            )
-        row |= {name: said[name].astype(self._like[name][0]) for name in wanted}
-        for values in (row, seen):
-            for name, value in values.items():
-                if value.shape != self._like.get(name, (None, None))[1]:
-                    raise SpecError(
-                        f"{name}: expected {count(self._like.get(name))} as before, got "
-                        f"{value.size}"
-                    )
-                if value.dtype.kind == "f" and not np.isfinite(value).all():
-                    raise SpecError(f"{name}: expected numbers, got NaN or infinity")
-        for name in wanted:
-            if (row[name] != said[name]).any():
-                raise SpecError(
-                    f"{name}: expected {self._like[name][0]} as in the first step, got {said[name]}"
-                )
-        return row, seen
+        elif self._count == self._next:
+            self._pause()
 
     def close(self, aborted: str = "interrupted") -> None:
-        """Finish the file; an episode without steps leaves none."""
-        self._closed = True
-        if self._watch is not None:
-            self._watch.close()
-        if self._rows:
-            self._flush()
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.finish(self._seen, aborted=aborted)
+        """Finish the file; an episode without steps leaves none.
+
+        Raises:
+            SimulationError: if one of the last steps cannot be taken again, as `step`.
+            SpecError: as `step`.
+        """
+        if self._closed:
+            return
+        self._examine()
+        self._finish(aborted)
 
     def __enter__(self) -> EpisodeLog:
         return self
@@ -179,59 +161,136 @@ class EpisodeLog:
         trace: TracebackType | None,
     ) -> None:
         stopped = error is None or isinstance(error, KeyboardInterrupt)
-        self.close("interrupted" if stopped else f"failed: {type(error).__name__}")
+        try:
+            self.close("interrupted" if stopped else f"failed: {type(error).__name__}")
+        except CoordlogError:
+            if error is None:
+                raise
 
-    def mark(self) -> None:
-        """Keep the state as it is now: an owner that steps in halves sets its controls between."""
-        if self._watch is not None:
-            self._watch.mark()
+    def _pause(self) -> None:
+        """Take the steps again that are there, and write them when it is time."""
+        self._examine()
+        room = len(self._torque)
+        if self._count == room or (self._count >= BLOCK and time.monotonic() > self._due):
+            self._flush()
+        self._next = min(self._count + BLOCK, room)
 
-    def _follow(self, end: Array) -> Followed:
-        before, self._before = self._before, end
-        if self._shadow is None or self._watch is None:
-            return Followed(round((end[0] - before[0]) / self._model.opt.timestep), [])
-        return self._shadow.follow(self._watch.taken(), end)
+    def _begin_block(self) -> None:
+        self._count = self._examined = 0
+        self._substeps: list[int] = []
+        self._changes: list[tuple[int, Change]] = []
+        self._ending = False, False
+        self._due = time.monotonic() + SECONDS
 
-    def _present(self, observation: Any) -> dict[str, Array]:
-        """The fields that hold before an action."""
-        data = self._data
-        values = (
-            np.concatenate([data.qpos, data.qvel]) if observation is None else flat(observation)
-        )
-        found = {
-            "time": np.array(data.time - self._start),
-            "qpos": data.qpos.copy(),
-            "qvel": data.qvel.copy(),
-            "state": values.astype(np.float32),
-        }
-        if observation is not None and values.dtype == np.float64:
-            found["observation"] = values
+    def _examine(self) -> None:
+        """Take the steps again that have not been.
+
+        Raises:
+            SimulationError: at the first that cannot be; the file ends before it.
+            SpecError: at the first with a NaN; the file ends before it.
+        """
+        first, stop = self._examined, self._count
+        if first == stop:
+            return
+        seen, self._seen = self._seen, []
+        wrong = odd(self._columns(first, stop) | self._present(first + 1, stop + 1))
+        good = stop if wrong is None else first + wrong[0]
+        found = self._follow(self._states[first : good + 1], seen[: good - first])
+        self._examined = first + len(found.substeps)
+        self._substeps += found.substeps
+        self._changes += [(first + step, change) for step, change in found.changes]
+        self.set_from_outside += found.outside
+        error = found.error or (None if wrong is None else wrong[1])
+        if error is not None:
+            self.length -= stop - self._examined
+            self._count = self._examined
+            self._ending = False, False
+            raise self._refused(error) from None
+
+    def _refused(self, error: CoordlogError) -> CoordlogError:
+        """Close the file before the step that cannot be logged; what is to be said of it."""
+        at, said = self.length, str(error)
+        if isinstance(error, SpecError):
+            self._finish(aborted=f"step {at}: {said}")
+            return SpecError(f"step {at}: {said}")
+        self._finish(aborted=f"not replayable at step {at}: {said}")
+        return SimulationError(f"step {at} cannot be replayed: {said}")
+
+    def _follow(self, states: Array, seen: list[list[Array]]) -> Steps:
+        if self._shadow is not None:
+            return self._shadow.follow(states, seen)
+        counts = np.rint(np.diff(states[:, 0]) / self._model.opt.timestep).astype(int).tolist()
+        rows = self._parts.held(states[0], states)
+        return Steps(counts, [(step, Change(0, row)) for step, row in rows.items()])
+
+    def _present(self, first: int, stop: int) -> dict[str, Array]:
+        """The fields that hold before each of some steps."""
+        states, parts = self._states[first:stop], self._parts
+        qpos, qvel = states[:, parts.qpos], states[:, parts.qvel]
+        found = {"time": states[:, 0] - self._start[0], "qpos": qpos, "qvel": qvel}
+        found |= self._rows.seen(first, stop)
+        if "state" not in found:
+            found["state"] = np.concatenate([qpos, qvel], axis=1).astype(np.float32)
         return found
 
+    def _columns(self, first: int, stop: int) -> dict[str, Array]:
+        """The other fields of some steps."""
+        ctrl = self._states[first + 1 : stop + 1, self._parts.ctrl]
+        taken = {"ctrl": ctrl, "torque": self._torque[first:stop]}
+        return self._rows.columns(first, stop) | taken
+
     def _flush(self) -> None:
-        """Write what has been collected, opening the file with the first of it."""
+        """Write what has been taken again, opening the file with the first of it."""
+        n = self._count
+        columns = self._present(0, n) | self._columns(0, n)
+        columns[SUBSTEPS] = np.array(self._substeps, dtype=np.int32)
+        for name, ending in zip(("terminated", "truncated"), self._ending, strict=True):
+            columns[name] = np.zeros(n, dtype=bool)
+            columns[name][-1] = ending
         if self._writer is None:
-            header = header_of(self._model, self._rows[0], self._about)
+            header = header_of(self._subject, columns, self._about)
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = EpisodeWriter(
-                self._path, header, attachments=self._attached, display=True
+                self._path,
+                header,
+                attachments={**self._subject.attached, INITIAL_STATE: self._start.tobytes()},
+                display=True,
+                shown=self._subject.shown(self._start),
             )
-        names = list(self._rows[0])
-        columns = {name: np.stack([row[name] for row in self._rows]) for name in names}
-        inputs = self._messages()
-        first = self.length - len(self._rows)
-        self._rows = []
-        self._writer.write_steps(first, columns, inputs=inputs)
+        first = self._writer.length
+        self._writer.write_steps(first, columns, inputs=self._messages(first))
+        self._states[0] = self._states[n]
+        self._rows.again(n)
+        self._begin_block()
 
-    def _messages(self) -> dict[str, Array] | None:
-        changes, self._changes = self._changes, []
-        if not changes:
+    def _finish(self, aborted: str) -> None:
+        self._closed = True
+        if self._watch is not None:
+            self._watch.close()
+        if self._count:
+            self._flush()
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            final = {name: values[0] for name, values in self._present(0, 1).items()}
+            writer.finish(final, aborted=aborted)
+
+    def _messages(self, first: int) -> dict[str, Array] | None:
+        if not self._changes:
             return None
         columns: dict[str, list[Array]] = {item.name: [] for item in INPUTS.fields}
-        for step, substep, row in changes:
+        for step, (substep, row) in self._changes:
             self._inputs.begin(np.array([0]), row[None])
-            message = self._inputs.message(0, step)
+            message = self._inputs.message(0, first + step)
             message["substep"], message["state"] = np.array([substep], np.int32), row[None]
             for name, value in message.items():
                 columns[name].append(value)
         return {name: np.concatenate(values) for name, values in columns.items()}
+
+
+def _no_step(before: float, after: float) -> SimulationError:
+    if after < before:
+        return SimulationError(
+            f"time went back from {before:g} s to {after:g} s within an episode: expected an "
+            "environment that is reset by reset() alone"
+        )
+    return SimulationError("no physics step was made: expected time to go on")

@@ -14,8 +14,7 @@ import numpy as np
 
 from coordlog.episode import Array, Header, Json
 from coordlog.errors import SpecError
-from coordlog.mjcf import actuator_label
-from coordlog.sim.env import hinges
+from coordlog.record.foreign_env import Subject
 from coordlog.sim.foreign import SUBSTEPS, TASK
 from coordlog.spec import SCHEMA_VERSION
 from coordlog.version import __version__
@@ -56,20 +55,139 @@ def numbers(info: Mapping[str, Any]) -> dict[str, Array]:
     return found
 
 
-def count(like: tuple[Any, tuple[int, ...]] | None) -> str:
-    """How many values there are in what had a type and a shape, in words."""
-    size = 0 if like is None else int(np.prod(like[1]))
-    return f"{size} value" + "s" * (size != 1)
+class Rows:
+    """What some steps in a row saw, did, got and said, written in place."""
+
+    def __init__(self, size: int, observation: Any) -> None:
+        """Make room.
+
+        Args:
+            size: Steps.
+            observation: What the policy sees before the first; None if it sees nothing.
+
+        Raises:
+            SpecError: if there is anything but numbers in it.
+        """
+        self._size = size
+        self._seen: Array | None = None
+        self._made: dict[str, Array] = {}
+        self._said: list[tuple[Any, str, Array]] = []
+        if observation is not None:
+            first = flat(observation)
+            self._seen = np.empty((size + 1, *first.shape), first.dtype)
+            self._seen[0] = first
+
+    def put(
+        self, row: int, action: Any, reward: Any, observation: Any, info: Mapping[str, Any]
+    ) -> None:
+        """Write a step.
+
+        Raises:
+            SpecError: for values of another kind or number than before.
+        """
+        if not self._made:
+            self._begin(action, reward, info)
+        _put("action", self._made["action"], row, action)
+        _put("reward", self._made["reward"], row, reward)
+        if self._seen is not None:
+            _put("state", self._seen, row + 1, observation)
+        elif observation is not None:
+            raise SpecError("observation: expected none, as before the first step, got one")
+        for said, name, column in self._said:
+            value = info.get(said)
+            if type(value) is float or type(value) is np.float64:
+                if column.dtype != np.float64 or column.ndim > 1:
+                    raise _unlike(name, column, value)
+                column[row] = value
+            else:
+                self._say(name, column, row, numbers({said: value}))
+
+    def columns(self, first: int, stop: int) -> dict[str, Array]:
+        """What holds after each of some steps."""
+        return {name: column[first:stop] for name, column in self._made.items()}
+
+    def seen(self, first: int, stop: int) -> dict[str, Array]:
+        """What was seen before each of some steps; nothing, if nothing was."""
+        if self._seen is None:
+            return {}
+        values = self._seen[first:stop]
+        with np.errstate(over="ignore"):
+            found = {"state": values.astype(np.float32)}
+        return found | ({"observation": values} if values.dtype == np.float64 else {})
+
+    def again(self, last: int) -> None:
+        """Begin anew with what was seen after some steps."""
+        if self._seen is not None:
+            self._seen[0] = self._seen[last]
+
+    def _begin(self, action: Any, reward: Any, info: Mapping[str, Any]) -> None:
+        columns = {"action": flat(action).astype(np.float32), "reward": flat(reward) * 1.0}
+        for said in info:
+            for key, value in numbers({said: info[said]}).items():
+                if f"info_{key}" not in columns:
+                    columns[f"info_{key}"] = value
+                    self._said.append((said, f"info_{key}", value))
+        self._made = {
+            name: np.empty((self._size, *value.shape), value.dtype)
+            for name, value in columns.items()
+        }
+        self._said = [(said, name, self._made[name]) for said, name, _ in self._said]
+
+    @staticmethod
+    def _say(name: str, column: Array, row: int, said: Mapping[str, Array]) -> None:
+        if not said:
+            raise SpecError(
+                f"info: expected the numbers of the first step, {name.removeprefix('info_')} is "
+                "missing"
+            )
+        (value,) = said.values()
+        lost = column.dtype == bool and (value.astype(bool) != value).any()
+        if value.shape != column.shape[1:] or lost:
+            raise _unlike(name, column, value)
+        column[row] = value
 
 
-def header_of(model: mujoco.MjModel, row: Mapping[str, Array], about: Json) -> Header:
+def _put(name: str, column: Array, row: int, value: Any) -> None:
+    if type(value) is not np.ndarray or value.shape != column.shape[1:]:
+        value = flat(value)
+        if value.shape != column.shape[1:]:
+            raise _unlike(name, column, value)
+    elif value.dtype.kind not in "fiub":
+        flat(value)  # says so
+    column[row] = value
+
+
+def _unlike(name: str, column: Array, value: Any) -> SpecError:
+    if np.shape(value) != column.shape[1:]:
+        size = int(np.prod(column.shape[1:]))
+        wanted = f"{size} value" + "s" * (size != 1)
+        return SpecError(f"{name}: expected {wanted} as before, got {np.size(value)}")
+    return SpecError(f"{name}: expected {column.dtype} as in the first step, got {value}")
+
+
+def odd(columns: Mapping[str, Array]) -> tuple[int, SpecError] | None:
+    """The first step at which something is no number, and what is to be said of it."""
+    found: tuple[int, SpecError] | None = None
+    for name, values in columns.items():
+        if values.dtype.kind != "f" or np.isfinite(values).all():
+            continue
+        bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        step = int(np.flatnonzero(bad)[0])
+        if found is None or step < found[0]:
+            found = step, SpecError(f"{name}: expected numbers, got NaN or infinity")
+    return found
+
+
+def header_of(subject: Subject, first: Mapping[str, Array], about: Json) -> Header:
     """What a file says of itself.
 
     Args:
-        model: What is simulated.
-        row: The first step.
+        subject: What is simulated.
+        first: Columns of the first steps.
         about: What is known of the episode (`EpisodeLog`).
     """
+    row = {name: values[0] for name, values in first.items()}
+    model = subject.model
     widths = {name: row[name].size for name in ("state", "action", "reward")}
     heads = list(about.get("heads") or ("reward",))
     if len(heads) != widths["reward"]:
@@ -92,9 +210,7 @@ def header_of(model: mujoco.MjModel, row: Mapping[str, Array], about: Json) -> H
         "reward": {},
         "config": {},
         "robot": {"name": about["episode"]["robot"]},
-        "joints": hinges(model),
-        "actuators": [actuator_label(model, i) for i in range(model.nu)],
-        "geoms": [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)],
+        **subject.parts,
         "arms": {head: list(range(widths["action"])) for head in heads},
         "action_joints": [f"action_{i}" for i in range(widths["action"])],
         "state": [f"state_{i}" for i in range(widths["state"])],

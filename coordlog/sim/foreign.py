@@ -1,17 +1,16 @@
 """Any MuJoCo simulation that somebody else steps: seen while it runs, followed, and run again.
 
-While a simulation is watched, `mujoco.mj_step` and `mujoco.mj_step2` are wrapped: the full state is
-read before each call that is made on it. A shadow of the simulation, on the model that is logged,
-then takes each step again from what is going to be logged of it: where the shadow ends where the
-simulation did, to the bit, the log replays; where the state was set from outside, the log says so;
-and where neither explains a step, it is refused, there and then.
+A simulation is watched (sim/watch.py): its full state is known before each call that moved it on,
+and after every step. A shadow of the simulation, on the model that is logged, then takes the steps
+again, a run of them at a time, from what is going to be logged of them: where the shadow ends where
+the simulation did, to the bit, the log replays; where the state was set from outside, the log says
+so; and where neither explains a step, that step is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import wraps
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,94 +18,56 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.errors import FormatError, SimulationError
 from coordlog.sim.inputs import place
+from coordlog.sim.watch import STATE, STEP, state_of
 
 TASK = "environment"
 """What the task of an episode is called that another program's environment has set."""
 SUBSTEPS = "substeps"
 """Its field that says how many physics steps a step made."""
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _MOTION = ("TIME", "QPOS", "QVEL", "ACT")
-_CARRIED = (*_MOTION, "HISTORY", "WARMSTART", "PLUGIN")
+"""Compared to the bit; a full state begins with them."""
+_CARRIED = (*_MOTION, "HISTORY", "WARMSTART", "PLUGIN", "PLASTIC")
 """Parts of the state that a physics step brings about; all others are given to it."""
+AHEAD = 25
+"""Most steps of a run; a simulation that its environment sets itself is followed step by step."""
 MOST = 0.5
 """A step is refused if more than this share of the coordinates is not what the physics makes."""
 
-STEPPERS = ("mj_step", "mj_step2")
-"""Functions of MuJoCo's that move a simulation on; whoever imported one by its own name before is
-not seen, and followed by its states alone."""
-
-_watched: dict[int, Watch] = {}
-_own = {name: getattr(mujoco, name) for name in STEPPERS}
-
-
-def _watching(stepper: Callable[..., None]) -> Callable[..., None]:
-    @wraps(stepper)
-    def step(m: mujoco.MjModel, d: mujoco.MjData, *args: Any, **options: Any) -> None:
-        watch = _watched.get(getattr(d, "_address", 0))
-        if watch is not None:
-            watch.mark()
-        stepper(m, d, *args, **options)
-
-    return step
-
-
-class Watch:
-    """Keeps the full state of one simulation before every call that moves it on.
-
-    Example:
-        >>> watch = Watch(model, data)                          # doctest: +SKIP
-        >>> mujoco.mj_step(model, data, 5)                      # doctest: +SKIP
-        >>> len(watch.taken())                                  # doctest: +SKIP
-        1
-    """
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._data, self._rows = model, data, list[Array]()
-        if not _watched:
-            for name, stepper in _own.items():
-                setattr(mujoco, name, _watching(stepper))
-        _watched[data._address] = self
-
-    def mark(self) -> None:
-        """Keep the state as it is now."""
-        self._rows.append(state_of(self._model, self._data))
-
-    def taken(self) -> list[Array]:
-        """The states since the last call."""
-        rows, self._rows = self._rows, []
-        return rows
-
-    def close(self) -> None:
-        """Look no longer."""
-        if _watched.pop(self._data._address, None) and not _watched:
-            for name, stepper in _own.items():
-                setattr(mujoco, name, stepper)
-
-
-def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """The full mjSTATE_INTEGRATION vector, (n_state,)."""
-    row = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, row, STATE)
-    return row
-
 
 class Parts:
-    """Where the parts of a model's full state stand, as masks (n_state,)."""
+    """Where the parts of a model's full state, (n_state,), stand."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.carried = self._mask(model, _CARRIED)
-        self.motion = self._mask(model, _MOTION)
-        self.ctrl = place(model, mujoco.mjtState.mjSTATE_CTRL)
-        self.qpos = place(model, mujoco.mjtState.mjSTATE_QPOS)
+        at = {
+            name: place(model, getattr(mujoco.mjtState, f"mjSTATE_{name}"))
+            for name in (*_CARRIED, "CTRL")
+            if hasattr(mujoco.mjtState, f"mjSTATE_{name}")
+        }
+        self.qpos, self.qvel, self.ctrl = at["QPOS"], at["QVEL"], at["CTRL"]
+        self.motion = slice(0, at["ACT"].stop)
+        self.carried = np.zeros(mujoco.mj_stateSize(model, STATE), dtype=bool)
+        for name in at.keys() & set(_CARRIED):
+            self.carried[at[name]] = True
+        given = ~self.carried
+        given[self.ctrl] = False
+        self.given = np.flatnonzero(given)
+        """What the physics is given besides controls."""
 
-    @staticmethod
-    def _mask(model: mujoco.MjModel, names: Iterable[str]) -> Array:
-        mask = np.zeros(mujoco.mj_stateSize(model, STATE), dtype=bool)
-        for name in names:
-            part = getattr(mujoco.mjtState, f"mjSTATE_{name}", None)
-            if part is not None:
-                mask[place(model, part)] = True
-        return mask
+    def held(self, before: Array, states: Array) -> dict[int, Array]:
+        """The steps for which something else was given than in the one before, if what stands there
+        after a step was there during all of it: the state that holds from their start on.
+
+        Args:
+            before: Full state before the first, with what was given until then, (n_state,).
+            states: Full states, (n + 1, n_state).
+        """
+        given = states[:, self.given]
+        given[0] = before[self.given]
+        (found,) = (given[1:] != given[:-1]).any(axis=1).nonzero()
+        rows = {k: np.where(self.carried, states[k], states[k + 1]) for k in found.tolist()}
+        if 0 in rows:
+            rows[0] = np.where(self.carried, before, states[1])
+        return rows
 
 
 class Change(NamedTuple):
@@ -125,6 +86,18 @@ class Followed(NamedTuple):
     """Whether the state was set from outside, and not only the inputs."""
 
 
+class Steps(NamedTuple):
+    """What must be logged of some steps, up to the first that nothing explains."""
+
+    substeps: list[int]
+    changes: list[tuple[int, Change]]
+    """By step."""
+    outside: int = 0
+    """Steps in which the state was set from outside."""
+    error: SimulationError | None = None
+    """Why the step after these cannot be taken again."""
+
+
 class Shadow:
     """A second simulation that takes every step again from what is logged of it."""
 
@@ -139,9 +112,15 @@ class Shadow:
             raise FormatError(
                 f"initial state: expected {size} numbers for this model, got {start.size}"
             )
-        self._model, self._data, self._parts = model, mujoco.MjData(model), Parts(model)
+        self._model, self._data, self.parts = model, mujoco.MjData(model), Parts(model)
+        self._ahead = 1
+        self.begin(start)
+
+    def begin(self, start: Array) -> None:
+        """Begin anew, in another full state, (n_state,)."""
+        mujoco.mj_resetData(self._model, self._data)
         self._set(start)
-        mujoco.mj_forward(model, self._data)  # what a state does not hold, such as sensors
+        mujoco.mj_forward(self._model, self._data)  # what a state does not hold, such as sensors
         self._set(start)
 
     @property
@@ -159,15 +138,71 @@ class Shadow:
             The full state after it, (n_state,).
         """
         self._data.ctrl[:] = ctrl
-        for substep in range(substeps):
-            if substep in changes:
-                self._set(changes[substep])
-            _own["mj_step"](self._model, self._data)
-        if substeps in changes:
-            self._set(changes[substeps])
+        stops = sorted({0, substeps, *(at for at in changes if 0 <= at <= substeps)})
+        for at, until in zip(stops, [*stops[1:], substeps], strict=True):
+            if at in changes:
+                self._set(changes[at])
+            if until > at:
+                STEP(self._model, self._data, until - at)
         return self.row
 
-    def follow(self, seen: list[Array], end: Array) -> Followed:
+    def follow(self, states: Array, seen: Sequence[list[Array]]) -> Steps:
+        """Find out what explains some steps, and take them.
+
+        Args:
+            states: Full states before and after them, (n + 1, n_state).
+            seen: For each step full states before the calls that moved it on, as watched.
+        """
+        found = Steps([], [])
+        at, n = 0, len(seen)
+        while at < n:
+            tried = min(self._ahead, n - at)
+            done = self._run(states[at : at + tried + 1], at, found)
+            at += done
+            if done and done == tried:
+                self._ahead = min(max(self._ahead, 2 * done), AHEAD)
+                continue
+            self._ahead = done
+            try:
+                step = self._step(seen[at], states[at + 1])
+            except SimulationError as error:
+                return found._replace(error=error)
+            found.substeps.append(step.substeps)
+            found.changes.extend((at, change) for change in step.changes)
+            found = found._replace(outside=found.outside + step.outside)
+            plain = not step.outside and all(change.substep == 0 for change in step.changes)
+            self._ahead = max(self._ahead, int(plain))
+            at += 1
+        return found
+
+    def _run(self, states: Array, at: int, found: Steps) -> int:
+        """Take steps during all of which the physics was given what stands there after them; how
+        many there are before one that this does not explain. None is tried of a simulation whose
+        last step was another.
+        """
+        n, data, parts = len(states) - 1, self._data, self.parts
+        if not n:
+            return 0
+        before, reached = self.row, np.empty((n, states.shape[1]))
+        changes = parts.held(before, states)
+        counts = np.rint(np.diff(states[:, 0]) / self._model.opt.timestep).astype(int).tolist()
+        controls, ctrl = states[1:, parts.ctrl], data.ctrl
+        for k, (count, row) in enumerate(zip(counts, reached, strict=True)):
+            if k in changes:
+                self._set(changes[k])
+            ctrl[:] = controls[k]
+            STEP(self._model, data, count)
+            mujoco.mj_getState(self._model, data, row, STATE)
+        motion = parts.motion
+        (other,) = (reached[:, motion] != states[1:, motion]).any(axis=1).nonzero()
+        done = int(other[0]) if len(other) else n
+        if done < n:
+            self._set(reached[done - 1] if done else before)
+        found.substeps.extend(counts[:done])
+        found.changes.extend((at + k, Change(0, row)) for k, row in changes.items() if k < done)
+        return done
+
+    def _step(self, seen: list[Array], end: Array) -> Followed:
         """Find out what explains a step, and take it.
 
         Args:
@@ -177,53 +212,47 @@ class Shadow:
         Raises:
             SimulationError: if nothing explains it; the message says what differs.
         """
-        now, motion = self.row, self._parts.motion
-        if end[0] < now[0]:
-            raise SimulationError(
-                f"time went back from {now[0]:g} s to {end[0]:g} s within an episode: expected an "
-                "environment that is reset "
-                "by reset() alone"
-            )
-        if end[0] == now[0]:
-            raise SimulationError("no physics step was made: expected time to go on")
+        now, motion, given = self.row, self.parts.motion, ~self.parts.carried
         at = [row for row in seen if row[0] == now[0]]
         start = now
-        if at and (at[-1][self._parts.carried] != now[self._parts.carried]).any():
+        if at and (at[-1][self.parts.carried] != now[self.parts.carried]).any():
             start = at[-1]
         best: tuple[float, Followed] = (0.0, Followed(0, []))
-        for given in (self._constant(end), self._each(seen)):
-            found = self._try(start, given, end, moved=start is not now)
+        ways = [self._constant(end)]
+        if any((row[given] != end[given]).any() for row in seen):
+            ways.append(self._each(seen))
+        for way in ways:
+            found = self._try(start, way, end, moved=start is not now)
             reached = self.row
             if (reached[motion] == end[motion]).all():
                 return found
             share = float((reached[motion] == end[motion]).mean())
             best = max(best, (share, found), key=lambda item: item[0])
-        return self._set_after(now, end, best)
+        return self._set_after(end, best)
 
     def _try(
         self, start: Array, given: Callable[[Array], Array], end: Array, *, moved: bool
     ) -> Followed:
         """Take the step with inputs from `given`, a full state for the present one."""
         self._set(start)
-        self._data.ctrl[:] = end[self._parts.ctrl]
+        self._data.ctrl[:] = end[self.parts.ctrl]
         changes, substeps = [], 0
         half = 0.5 * self._model.opt.timestep
         while self._data.time < end[0] - half:
             own = self.row
-            wanted = np.where(self._parts.carried, own, given(own))
+            wanted = np.where(self.parts.carried, own, given(own))
             if (wanted != own).any() or (moved and not substeps):
                 self._set(wanted)
                 changes.append(Change(substeps, wanted))
-            _own["mj_step"](self._model, self._data)
+            STEP(self._model, self._data)
             substeps += 1
         return Followed(substeps, changes, outside=moved)
 
-    def _set_after(self, now: Array, end: Array, best: tuple[float, Followed]) -> Followed:
+    def _set_after(self, end: Array, best: tuple[float, Followed]) -> Followed:
         """A step after which the environment set part of the state itself."""
         share, found = best
         if share < MOST:
-            where = self._parts.motion & (self.row != end)
-            first = int(np.flatnonzero(where)[0])
+            first = int(np.flatnonzero((self.row != end)[self.parts.motion])[0])
             raise SimulationError(
                 f"{1 - share:.0%} of the state after it is not what the physics makes of the state "
                 f"before it (entry {first}: "
@@ -288,9 +317,8 @@ def retrace(
     for step, (control, count) in enumerate(zip(ctrl, substeps.tolist(), strict=True)):
         rows.append(shadow.take(control, count, changes.get(step, {})))
     states = np.stack(rows)
-    qvel = place(model, mujoco.mjtState.mjSTATE_QVEL)
     return {
         "time": states[:, 0] - start[0],
-        "qpos": states[:, place(model, mujoco.mjtState.mjSTATE_QPOS)],
-        "qvel": states[:, qvel],
+        "qpos": states[:, shadow.parts.qpos],
+        "qvel": states[:, shadow.parts.qvel],
     }

@@ -13,7 +13,7 @@ from coordlog.record.foreign import Recorder, record_env, recording
 from coordlog.record.foreign_env import attachments_of, simulation_of
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.writer import write_episode
-from coordlog.sim.foreign import Watch
+from coordlog.sim.watch import Watch
 from coordlog.verify.physics import check_replay
 
 TEXT = """
