@@ -17,7 +17,8 @@ from coordlog.mjcf import actuator_label, load_attached, same_physics, text_of
 from coordlog.record.display import Shown
 from coordlog.sim.description import Description
 from coordlog.sim.env import hinges
-from coordlog.sim.foreign import Shadow
+from coordlog.sim.foreign import Parts, Shadow
+from coordlog.sim.inputs import Inputs
 
 VECTORISED = (
     "{}: several environments in one, whose simulations cannot be told apart or are in other "
@@ -53,6 +54,7 @@ class Subject:
     def __init__(self, model: mujoco.MjModel, source: Path | str | None = None) -> None:
         """Arguments and errors as of `attachments_of`."""
         self.model, self.attached = model, attachments_of(model, source)
+        self.parts, self.inputs = Parts(model), Inputs(model, n=1)
         self._shadow: Shadow | None = None
 
     def shadow(self, start: Array) -> Shadow:
@@ -68,7 +70,7 @@ class Subject:
         return Shown(self._description, start)
 
     @cached_property
-    def parts(self) -> Json:
+    def names(self) -> Json:
         """Names of its joints, actuators and geoms, as a header has them."""
         model = self.model
         return {
@@ -178,6 +180,8 @@ def after(env: Any, given: Any) -> Given:
     Raises:
         SpecError: if it is none of these, or of several environments.
     """
+    if type(given) is tuple and len(given) == 5 and type(given[2]) is type(given[3]) is bool:
+        return Given(*given)
     if hasattr(given, "step_type"):
         over = bool(given.last())
         ended = over and given.discount == 0.0
@@ -195,8 +199,7 @@ def after(env: Any, given: Any) -> Given:
             "step: expected observation, reward, terminated, truncated, info as of Gymnasium, got "
             f"{got}"
         )
-    ends = found.terminated, found.truncated
-    if not all(type(end) is bool or np.size(end) == 1 for end in ends):
+    if np.size(found.terminated) != 1 or np.size(found.truncated) != 1:
         raise SpecError(VECTORISED.format(type(env).__name__))
     return found
 

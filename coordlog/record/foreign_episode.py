@@ -26,16 +26,16 @@ from coordlog.errors import CoordlogError, SimulationError, SpecError
 from coordlog.record.foreign_env import Subject
 from coordlog.record.foreign_values import Rows, header_of, odd
 from coordlog.record.writer import BLOCK, EpisodeWriter
-from coordlog.sim.foreign import SUBSTEPS, Change, Parts, Steps
-from coordlog.sim.inputs import Inputs
+from coordlog.sim.foreign import SUBSTEPS, Change, Steps
 from coordlog.sim.watch import STATE, Watch, state_of
-from coordlog.spec import INPUTS
 
 MOST_STEPS, MOST_BYTES = 512, 1 << 23
 """Room for the steps of a chunk: fewer where a step is large."""
 SECONDS = 1.0
 """A chunk is written no later than this after the one before, if it has `BLOCK` steps: so much may
 a crash cost."""
+OFTEN = 0.1
+"""Steps are taken again in runs that grow while they last less than this [s]."""
 
 
 class EpisodeLog:
@@ -70,8 +70,7 @@ class EpisodeLog:
         self._path, self._about = path, about
         self._start = state_of(self._model, data)
         self._shadow = subject.shadow(self._start) if verify else None
-        self._parts = Parts(self._model) if self._shadow is None else self._shadow.parts
-        self._inputs = Inputs(self._model, n=1)
+        self._parts = subject.parts
         width = self._start.size + np.size(observation)
         room = min(max(MOST_BYTES // (8 * width), BLOCK), MOST_STEPS)
         self._states = np.empty((room + 1, self._start.size))
@@ -81,7 +80,9 @@ class EpisodeLog:
         self._rows = Rows(room, observation)
         self._watch = Watch(self._model, data) if verify else None
         self._seen: list[list[Array]] = []
+        self._run, self._paused = BLOCK // 2, time.monotonic()
         self._next = 1  # what cannot be taken again mostly shows at once
+        self._count = 0
         self._begin_block()
         self._writer: EpisodeWriter | None = None
         self._closed = False
@@ -111,7 +112,7 @@ class EpisodeLog:
             info: Its numbers are logged, under the names they have at the first step.
 
         Raises:
-            SimulationError: if this step, or one of the `BLOCK` before it, cannot be taken again
+            SimulationError: if this step, or one before it of the same run, cannot be taken again
                 from what is logged; what came before that one stays in the file, which is closed as
                 aborted.
             SpecError: for a NaN, or another number of values than before; likewise.
@@ -171,9 +172,11 @@ class EpisodeLog:
         """Take the steps again that are there, and write them when it is time."""
         self._examine()
         room = len(self._torque)
-        if self._count == room or (self._count >= BLOCK and time.monotonic() > self._due):
+        now = time.monotonic()
+        if self._count == room or (self._count >= BLOCK and now > self._due):
             self._flush()
-        self._next = min(self._count + BLOCK, room)
+        self._run = min(2 * self._run, room) if now - self._paused < OFTEN else BLOCK
+        self._paused, self._next = now, min(self._count + self._run, room)
 
     def _begin_block(self) -> None:
         self._count = self._examined = 0
@@ -193,7 +196,10 @@ class EpisodeLog:
         if first == stop:
             return
         seen, self._seen = self._seen, []
-        wrong = odd(self._columns(first, stop) | self._present(first + 1, stop + 1))
+        wrong = None
+        taken = self._states[first + 1 : stop + 1], self._torque[first:stop]
+        if not (all(np.isfinite(each).all() for each in taken) and self._rows.sound(first, stop)):
+            wrong = odd(self._columns(first, stop) | self._present(first + 1, stop + 1))
         good = stop if wrong is None else first + wrong[0]
         found = self._follow(self._states[first : good + 1], seen[: good - first])
         self._examined = first + len(found.substeps)
@@ -277,14 +283,11 @@ class EpisodeLog:
     def _messages(self, first: int) -> dict[str, Array] | None:
         if not self._changes:
             return None
-        columns: dict[str, list[Array]] = {item.name: [] for item in INPUTS.fields}
-        for step, (substep, row) in self._changes:
-            self._inputs.begin(np.array([0]), row[None])
-            message = self._inputs.message(0, first + step)
-            message["substep"], message["state"] = np.array([substep], np.int32), row[None]
-            for name, value in message.items():
-                columns[name].append(value)
-        return {name: np.concatenate(values) for name, values in columns.items()}
+        steps, changes = zip(*self._changes, strict=True)
+        substeps, rows = zip(*changes, strict=True)
+        return self._subject.inputs.messages(
+            first + np.array(steps), np.array(substeps), np.stack(rows)
+        )
 
 
 def _no_step(before: float, after: float) -> SimulationError:

@@ -19,6 +19,8 @@ from coordlog.sim.foreign import SUBSTEPS, TASK
 from coordlog.spec import SCHEMA_VERSION
 from coordlog.version import __version__
 
+_FLOATS = frozenset({float, np.float64, np.float32})
+
 
 def flat(value: Any) -> Array:
     """An observation, action or reward as one row of numbers; parts of a mapping in the order of
@@ -95,12 +97,16 @@ class Rows:
             raise SpecError("observation: expected none, as before the first step, got one")
         for said, name, column in self._said:
             value = info.get(said)
-            if type(value) is float or type(value) is np.float64:
-                if column.dtype != np.float64 or column.ndim > 1:
-                    raise _unlike(name, column, value)
+            if type(value) in _FLOATS and column.ndim == 1 and column.dtype == np.float64:
                 column[row] = value
             else:
                 self._say(name, column, row, numbers({said: value}))
+
+    def sound(self, first: int, stop: int) -> bool:
+        """Whether all that some steps did, got, said and saw after them are numbers."""
+        seen = self.seen(first + 1, stop + 1).get("state")
+        values = [column[first:stop] for column in self._made.values()]
+        return all(bool(np.isfinite(each).all()) for each in (*values, seen) if each is not None)
 
     def columns(self, first: int, stop: int) -> dict[str, Array]:
         """What holds after each of some steps."""
@@ -121,7 +127,10 @@ class Rows:
             self._seen[0] = self._seen[last]
 
     def _begin(self, action: Any, reward: Any, info: Mapping[str, Any]) -> None:
-        columns = {"action": flat(action).astype(np.float32), "reward": flat(reward) * 1.0}
+        columns: dict[str, Array] = {
+            "action": flat(action).astype(np.float32),
+            "reward": flat(reward) * 1.0,
+        }
         for said in info:
             for key, value in numbers({said: info[said]}).items():
                 if f"info_{key}" not in columns:
@@ -148,6 +157,9 @@ class Rows:
 
 
 def _put(name: str, column: Array, row: int, value: Any) -> None:
+    if type(value) in _FLOATS and column.shape[1:] == (1,):
+        column[row, 0] = value
+        return
     if type(value) is not np.ndarray or value.shape != column.shape[1:]:
         value = flat(value)
         if value.shape != column.shape[1:]:
@@ -210,7 +222,7 @@ def header_of(subject: Subject, first: Mapping[str, Array], about: Json) -> Head
         "reward": {},
         "config": {},
         "robot": {"name": about["episode"]["robot"]},
-        **subject.parts,
+        **subject.names,
         "arms": {head: list(range(widths["action"])) for head in heads},
         "action_joints": [f"action_{i}" for i in range(widths["action"])],
         "state": [f"state_{i}" for i in range(widths["state"])],

@@ -64,6 +64,8 @@ def _encode_value(key: str, value: Any) -> str:
 
 
 def _decode_value(text: str) -> Any:
+    if text[:1].isalpha() and text[0] not in "ntfNI":  # no JSON begins so
+        return text
     try:
         return json.loads(text)
     except (ValueError, RecursionError):

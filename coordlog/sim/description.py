@@ -265,12 +265,18 @@ def _texts(values: Array | tuple[float, ...]) -> str:
 def _rotated(quat: Array, vector: Array) -> Array:
     """A vector turned by quaternions (n, 4), w first."""
     w, axis = quat[:, :1], quat[:, 1:]
-    cross = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * cross + np.cross(axis, cross))
+    cross = 2.0 * _cross(axis, vector)
+    return np.asarray(vector + w * cross + _cross(axis, cross))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """np.cross of vectors in the last axis, which for a few rows takes five times as long."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _product(a: Array, b: Array) -> Array:
     """Products of quaternions, w first, (n, 4)."""
     w = a[:, :1] * b[:, :1] - (a[:, 1:] * b[:, 1:]).sum(axis=1, keepdims=True)
-    xyz = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
+    xyz = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + _cross(a[:, 1:], b[:, 1:])
     return np.concatenate([w, xyz], axis=1)

@@ -28,7 +28,7 @@ _MOTION = ("TIME", "QPOS", "QVEL", "ACT")
 """Compared to the bit; a full state begins with them."""
 _CARRIED = (*_MOTION, "HISTORY", "WARMSTART", "PLUGIN", "PLASTIC")
 """Parts of the state that a physics step brings about; all others are given to it."""
-AHEAD = 25
+AHEAD = 256
 """Most steps of a run; a simulation that its environment sets itself is followed step by step."""
 MOST = 0.5
 """A step is refused if more than this share of the coordinates is not what the physics makes."""
@@ -64,10 +64,10 @@ class Parts:
         given = states[:, self.given]
         given[0] = before[self.given]
         (found,) = (given[1:] != given[:-1]).any(axis=1).nonzero()
-        rows = {k: np.where(self.carried, states[k], states[k + 1]) for k in found.tolist()}
-        if 0 in rows:
+        rows = np.where(self.carried, states[found], states[found + 1])
+        if len(found) and not found[0]:
             rows[0] = np.where(self.carried, before, states[1])
-        return rows
+        return dict(zip(found.tolist(), rows, strict=True))
 
 
 class Change(NamedTuple):

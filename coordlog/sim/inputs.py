@@ -58,9 +58,19 @@ class Inputs:
 
     def message(self, sim: int, step: int) -> dict[str, Array]:
         """A row of `spec.INPUTS`: the inputs of a simulation from a step on."""
-        held = self._held[sim]
-        columns = {name: held[at][None].copy() for name, at in self._at.items()}
+        none = np.zeros((1, 0))
+        return self._columns(self._held[sim][None], np.array([step]), np.zeros(1, np.int32), none)
+
+    def messages(self, steps: Array, substeps: Array, rows: Array) -> dict[str, Array]:
+        """Rows of `spec.INPUTS`: what full states (n, n_state), set at some steps and substeps,
+        give the physics.
+        """
+        return self._columns(rows[:, self._all], steps, substeps.astype(np.int32), rows)
+
+    def _columns(
+        self, held: Array, steps: Array, substeps: Array, states: Array
+    ) -> dict[str, Array]:
+        columns = {name: held[:, at].copy() for name, at in self._at.items()}
         columns["eq_active"] = columns["eq_active"].astype(bool)
-        columns["step"], columns["substep"] = np.array([step]), np.zeros(1, np.int32)
-        columns["state"] = np.zeros((1, 0))
+        columns |= {"step": steps, "substep": substeps, "state": states}
         return {item.name: columns[item.name] for item in INPUTS.fields}
