@@ -48,6 +48,13 @@ def test_smoothing_takes_logs_or_a_path(logs: Path, tmp_path: Path) -> None:
     noisy = np.sin(time)[:, None] + 0.01 * np.random.default_rng(0).normal(size=(40, 1))
     result = coordlog.smooth(time, noisy)
     assert result.after.jerk < 0.1 * result.before.jerk
+    assert coordlog.smooth(logs, tmp_path / "again", jobs=1)["episodes"] == 2
+    for rest, said in (
+        ((3,), "expected a folder, or joint angles"),
+        (("a", "b"), "expected one folder"),
+    ):
+        with pytest.raises(CoordlogError, match=said):
+            coordlog.smooth(logs, *rest)
 
 
 def test_learning_gives_a_run_folder(logs: Path, tmp_path: Path) -> None:

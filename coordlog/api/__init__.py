@@ -21,7 +21,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from coordlog.errors import ConfigError, StorageError, unknown
+from coordlog.errors import ConfigError, SpecError, StorageError, unknown
 from coordlog.monitor import Monitor
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 OF_ENVIRONMENTS = ("about", "each", "source", "verify")
 """Options of `record` with an environment of another program."""
-BATCH = ("write", "force", "share", "processes", "monitor")
+BATCH = ("write", "force", "share", "jobs", "monitor")
 """Options of `smooth` for logs that are not about how a path is smoothed."""
 Plan = TypeVar("Plan")
 Source = str | os.PathLike[str]
@@ -173,23 +173,28 @@ def smooth(source: Any, *rest: Any, out: Source | None = None, **options: Any) -
 
     Args:
         source: Logs; or the times (T,) [s] of one path.
-        rest: For a path: joint angles (T, n_j), and a checker (`coordlog.contracts.Checker`);
-            without one nothing is in the way. `coordlog.smooth.smoother.smooth` says the rest.
+        rest: For logs the folder, if not as `out`. For a path joint angles (T, n_j), and a checker
+            (`coordlog.contracts.Checker`); without one nothing is in the way.
+            `coordlog.smooth.smoother.smooth` says the rest.
         out: For logs: folder for the smoothed episodes.
         options: method, cutoff, max_deviation, clearance, …; for logs also force, write, share,
-            processes and monitor (`coordlog.smooth.batch.smooth_logs`).
+            jobs and monitor (`coordlog.smooth.batch.smooth_logs`).
 
     Returns:
         For logs the report (a row for every episode); for a path its `Result`.
 
     Raises:
-        ConfigError: for an unknown option, or logs without `out`.
+        ConfigError: for an unknown option, or logs without a folder or with several.
         SpecError: for a path that cannot be smoothed.
 
     Example:
         >>> smooth("logs", out="smoothed")["statuses"]        # doctest: +SKIP
         {'smoothed': 10}
     """
+    if rest and isinstance(rest[0], str | os.PathLike):
+        if len(rest) > 1 or out is not None:
+            raise ConfigError("smooth: expected one folder for the smoothed logs, got several")
+        out, rest = rest[0], ()
     if rest:
         import numpy as np
 
@@ -197,6 +202,9 @@ def smooth(source: Any, *rest: Any, out: Source | None = None, **options: Any) -
         from coordlog.smooth.smoother import smooth as smooth_path
 
         angles, *given = rest
+        if np.ndim(angles) != 2:
+            got = type(angles).__name__
+            raise SpecError(f"smooth: expected a folder, or joint angles (T, n_j), got a {got}")
         checker = given[0] if given else Unobstructed(np.shape(angles)[-1])
         return smooth_path(source, angles, checker, **options)
     if out is None:

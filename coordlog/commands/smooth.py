@@ -89,7 +89,7 @@ def smooth(
     if report is not None and report.exists() and not force:
         said = "the file exists and is not overwritten; choose another name, or pass --force"
         raise StorageError(f"{report}: {said}")
-    how: Json = {"write": not dry_run, "force": force, "share": shard, "processes": jobs}
+    how: Json = {"write": not dry_run, "force": force, "share": shard, "jobs": jobs}
     with terminal.interruptible() as monitor:
         found = smooth_logs(path, out, settings, **how, monitor=monitor)
     if report is not None:

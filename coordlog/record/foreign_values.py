@@ -129,7 +129,7 @@ class Rows:
     def _begin(self, action: Any, reward: Any, info: Mapping[str, Any]) -> None:
         columns: dict[str, Array] = {
             "action": flat(action).astype(np.float32),
-            "reward": flat(reward) * 1.0,
+            "reward": flat(reward).astype(np.float64),
         }
         for said in info:
             for key, value in numbers({said: info[said]}).items():

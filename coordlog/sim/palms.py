@@ -18,6 +18,9 @@ FINGER = 0.15
 """A branch that reaches less far than this beyond its first joint is a finger [m]."""
 ARM_JOINTS = 3
 """A branch with fewer joints of its own is a head or a gripper, not an arm."""
+FAST = 4000.0
+"""A joint that coasts to a stop at more than this rate is locked, by whoever made the model: the
+servo that could move it would take longer than an episode [1/s]."""
 HEAD = ("head", "neck", "camera")
 """Words in the names of bodies that bear no palm."""
 
@@ -37,18 +40,21 @@ def chain(model: mujoco.MjModel, body: int) -> list[str]:
 
 
 def _driven(model: mujoco.MjModel, body: int, notes: list[str]) -> list[str]:
-    """The chain of a body without slides that have neither a range nor a servo: those are no part
-    of an arm, but how somebody else moves the base.
+    """The chain of a body without joints that have no servo and are no part of an arm: slides
+    without a range, which are how somebody else moves the base, and joints that are damped so much
+    that they stand still.
     """
     found = []
     for name in chain(model, body):
         joint = model.joint(name).id
-        if (
-            model.jnt_type[joint] == SLIDE
-            and not model.jnt_limited[joint]
-            and servos_of(model, [joint])[0] < 0
-        ):
-            said = f"{name} is a slide without a range and without a servo: left out of the action"
+        free = model.jnt_type[joint] == SLIDE and not model.jnt_limited[joint]
+        damping = float(model.dof_damping[model.jnt_dofadr[joint]].max())
+        fast = damping > FAST * float(model.body_subtreemass[model.jnt_bodyid[joint]])
+        if (free or fast) and servos_of(model, [joint])[0] < 0:
+            said = (
+                f"{name} is a slide without a range" if free else f"{name} is held by its damping"
+            )
+            said += " and without a servo: left out of the action"
             notes += [said] * (said not in notes)
         else:
             found.append(name)

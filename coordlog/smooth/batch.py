@@ -59,7 +59,7 @@ def smooth_logs(
     write: bool = True,
     force: bool = False,
     share: str = "",
-    processes: int | str = 0,
+    jobs: int | str = 0,
     monitor: Monitor | None = None,
 ) -> Json:
     """Smooth every episode of some logs, in the order of their names, and report
@@ -72,7 +72,7 @@ def smooth_logs(
         write: Write the outputs; without it, only smooth and execute.
         force: Replace outputs that were made with other settings or from other files.
         share: "I/N": the I-th of N equal shares of the episodes; "" for all.
-        processes: 0 for one per core; or a cluster, see `parallel.mapped`.
+        jobs: Processes, 0 for one per core; or a cluster, see `parallel.mapped`.
         monitor: Hears of progress, and may ask to stop; what is done by then is reported.
 
     Raises:
@@ -84,7 +84,7 @@ def smooth_logs(
     heard = Monitor() if monitor is None else monitor
     rows: list[Json] = []
     with heard.progress("smoothing", len(batch.jobs)) as progress:
-        for row in mapped(smooth_file, batch.jobs, jobs=processes):
+        for row in mapped(smooth_file, batch.jobs, jobs=jobs):
             rows.append(row)
             counts = Counter(each["status"] for each in rows)
             said = (f"{counts[name]} {name}" for name in STATUSES if counts[name])

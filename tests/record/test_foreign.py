@@ -253,6 +253,18 @@ def test_an_odd_step_is_refused_and_what_came_before_it_replays(what, value, sai
     assert not replays.findings
 
 
+@pytest.mark.parametrize("value", [np.float32(2.0), np.array([2.0], np.float32), 2, True])
+def test_rewards_of_any_kind_of_number_are_logged(value, tmp_path):
+    env = Env()
+    with recording(env.model, env.data, tmp_path, source=TEXT) as log:
+        env.reset()
+        for _ in range(3):
+            env.step(np.zeros(2))
+            log.step(np.zeros(2), value)
+    episode = read_episode(next(tmp_path.glob("*.mcap")))
+    assert (episode.reward == float(np.squeeze(value))).all()
+
+
 def test_numbers_that_come_later_in_an_info_are_left_out(tmp_path):
     env = Odd("info", {"height": 0.0, "is success/now": True, "": 1.0})
     record_env(env, policy, episodes=1, out=tmp_path)

@@ -86,12 +86,19 @@ def test_palms_that_are_not_there_are_named_with_what_is(tmp_path):
     assert found.robot.arms[0].joints == ("a", "b")
 
 
-def test_a_slide_without_a_range_and_a_servo_is_left_out(tmp_path):
-    base = '<joint name="x" type="slide" axis="1 0 0" limited="false" damping="1e9"/>'
-    (tmp_path / "arm.xml").write_text(text(free=base))
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ('type="slide" limited="false" damping="1e9"', "x is a slide without a range"),
+        ('type="slide" range="0 .4" damping="1e7"', "x is held by its damping"),
+        ('type="hinge" range="0 .4" damping="1e7"', "x is held by its damping"),
+    ],
+)
+def test_a_joint_that_stands_still_and_has_no_servo_is_left_out(kind, said, tmp_path):
+    (tmp_path / "arm.xml").write_text(text(free=f'<joint name="x" axis="1 0 0" {kind}/>'))
     found = understand(tmp_path / "arm.xml", ["tip"])
     assert found.robot.arms[0].joints == ("a", "b")
-    assert any("x is a slide without a range" in note for note in found.notes)
+    assert any(said in note for note in found.notes)
 
 
 @pytest.mark.parametrize(
