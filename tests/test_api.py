@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coordlog
-from coordlog.errors import ConfigError, CoordlogError, FormatError, StorageError
+from coordlog.errors import ConfigError, CoordlogError, StorageError
 
 
 @pytest.fixture(scope="module")
