@@ -10,6 +10,7 @@ import pytest
 from tests.spoken import said, sound
 
 GOOD = next((Path(__file__).parents[1] / "data" / "v1" / "planar").glob("*.mcap"))
+NEW = next((Path(__file__).parents[1] / "data" / "v2" / "planar").glob("*.mcap"))
 COMMANDS = {
     "check": ("--jobs", "1"),
     "info": (),
@@ -108,3 +109,59 @@ def test_named_twice_is_checked_once(tmp_path: Path) -> None:
     (tmp_path / "link.mcap").symlink_to(GOOD)
     done = sound("check", "--level", "file", "--jobs", "1", GOOD, GOOD, tmp_path)
     assert done.stdout.startswith("1 episodes, ")
+
+
+def harmed(how: str) -> bytes:
+    """An episode of which a few bytes are not as they were written."""
+    data = bytearray(NEW.read_bytes())
+    if how == "magic":
+        data[2] ^= 4
+    elif how == "library":
+        data[data.index(b"coordlog/")] ^= 1
+    elif how == "version":
+        data[data.index(b"schema_version") + len("schema_version") + 4] ^= 1
+    elif how == "key":
+        data[data.index(b"control_period")] ^= 1
+    elif how == "start":
+        data[:64] = bytes(64)
+    else:
+        data[-8:] = bytes(8)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("how", ["magic", "library", "version", "key", "start", "end"])
+def test_an_episode_with_a_damaged_start_or_end_is_a_finding_and_no_stranger(
+    how: str, tmp_path: Path
+) -> None:
+    shutil.copy(NEW, tmp_path)
+    (tmp_path / "harmed.mcap").write_bytes(harmed(how))
+    done = sound("check", "--level", "file", "--jobs", "1", tmp_path, code=1)
+    assert f"{tmp_path / 'harmed.mcap'}: " in done.stdout
+    assert "skipped" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("robot",),
+        ("robot", "--explain"),
+        ("scenes",),
+        ("record", "--scene"),
+        ("record", "--config"),
+        ("record", "--policy"),
+        ("train", "--config"),
+        ("train", "--scene"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.mcap", "a.toml", "a.xml", "a.py:x"])
+def test_a_file_of_another_kind_is_named_for_what_it_is(
+    words: tuple[str, ...], name: str, tmp_path: Path
+) -> None:
+    shutil.copy(NEW, tmp_path / name.partition(":")[0])
+    if ":" in name and words[-1] in ("--config", "--policy"):
+        pytest.skip("no name in a file is a configuration; a policy of one's own is run")
+    out = () if words[0] in ("robot", "scenes") else ("--out", tmp_path / "out")
+    done = said(*words, tmp_path / name, *out)
+    assert (done.exit_code, done.unforeseen) == (2, None)
+    assert "a recorded episode (MCAP)" in done.stderr
+    assert "\n" not in done.stderr.strip()
