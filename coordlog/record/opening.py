@@ -18,7 +18,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from coordlog.errors import FormatError, TruncatedError
+from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.addresses import fetch, is_elsewhere
 from coordlog.record.records import (
     FOOTER,
@@ -29,7 +29,7 @@ from coordlog.record.records import (
     unpack_metadata,
     walk,
 )
-from coordlog.record.storage import translated
+from coordlog.record.storage import NO_TEXT, is_text, translated
 from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
@@ -65,6 +65,8 @@ def opened(path: File) -> Iterator[int]:
         FormatError: if the path is a folder.
         StorageError: if it cannot be read.
     """
+    if not is_text(path):
+        raise StorageError(f"{os.fspath(path)}: {NO_TEXT}")
     with naming(path), translated(Path(path), "read"):
         if is_elsewhere(path):
             with tempfile.TemporaryFile() as copy:
