@@ -78,8 +78,10 @@ def migrate(source: Recording, target: Path) -> Migrated:
         write_episode(target, episode, attachments=kept, display=source.has(JOINT_STATE_TOPIC))
     except StorageError as error:
         _discard_killed(source, target)
-        reason = getattr(error.__cause__, "strerror", None)
-        raise StorageError(f"{target}: cannot write: {reason}" if reason else str(error)) from error
+        refused = getattr(error.__cause__, "strerror", None)
+        raise StorageError(
+            f"{target}: cannot write: {refused}" if refused else str(error)
+        ) from error
     return Migrated(target, not reason, reason)
 
 
