@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from coordlog.errors import ConfigError, unknown
+from coordlog.strangers import recognise
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -95,7 +96,9 @@ def load_toml(path: Path, what: str) -> dict[str, Any]:
     except RecursionError:
         raise ConfigError(f"{path}: expected TOML, got one that is too deep") from None
     except ValueError as error:
-        raise ConfigError(f"{path}: expected TOML, got: {error}") from error
+        stranger = recognise(data, texts=False)
+        got = f" {stranger}" if stranger else f": {error}"
+        raise ConfigError(f"{path}: expected TOML, got{got}") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ CoordlogError                exit code 2
 ├── ConfigError              unknown name, unknown key, value out of range
 ├── SpecError                an array is not what its declaration says
 ├── FormatError              not a coordlog episode: foreign, empty, another schema version
+│   ├── NewerError           an episode of a schema version that only a later release reads
 │   └── TruncatedError       an episode that ends before its commit marker; `coordlog recover` helps
 ├── StorageError             the file system said no: full, read-only, would overwrite
 ├── SimulationError          the physics cannot be built or has diverged
@@ -39,6 +40,10 @@ class SpecError(CoordlogError):
 
 class FormatError(CoordlogError):
     """A file that is not a coordlog episode of a schema version this release reads."""
+
+
+class NewerError(FormatError):
+    """An episode file of a schema version that only a later release reads."""
 
 
 class TruncatedError(FormatError):

@@ -25,6 +25,7 @@ LEAST_TIMESTEP = 1e-5
 """Seconds of a physics step."""
 PLAIN_ELEMENTS = 1_000
 PLAIN_GEOMS = 250
+PLAIN_COUNT = 10_000
 """Up to these sizes, and of simple shapes alone, a model needs no trial in a process of its own."""
 
 _MULTIPLIES = {"replicate": "count", "composite": "count", "flexcomp": "count"}
@@ -63,7 +64,14 @@ def is_plain(root: ET.Element) -> bool:
     """Whether a modest model is small and of simple shapes, so that compiling it is harmless."""
     tags = [element.tag for element in root.iter()]
     small = len(tags) <= PLAIN_ELEMENTS and tags.count("geom") <= PLAIN_GEOMS
-    return small and not _NOT_PLAIN.intersection(tags)
+    few = all(
+        abs(value) <= PLAIN_COUNT
+        for element in root.iter()
+        for name, text in element.items()
+        if _is_count(element, name)
+        for value in _numbers(text)
+    )
+    return small and few and not _NOT_PLAIN.intersection(tags)
 
 
 def _judge(element: ET.Element) -> None:
@@ -83,10 +91,16 @@ def _judge(element: ET.Element) -> None:
     if element.tag == "size" and _bytes(element.get("memory", "0")) > MOST_MEMORY:
         raise _too_much("<size> memory", element.get("memory", ""), MOST_MEMORY)
     for name, text in element.items():
-        counted = name in _COUNTS or name.startswith("nuser")
-        counted = counted or (element.tag == "numeric" and name == "size")
-        if counted and any(not abs(value) <= MOST_COUNT for value in _numbers(text)):
-            raise _too_much(f"<{element.tag}> {name}", text[:20], MOST_COUNT)
+        most = MOST_ELEMENTS if name == "nkey" else MOST_COUNT
+        counted = _is_count(element, name)
+        if counted and any(not abs(value) <= most for value in _numbers(text)):
+            raise _too_much(f"<{element.tag}> {name}", text[:20], most)
+
+
+def _is_count(element: ET.Element, name: str) -> bool:
+    """Whether an attribute says how many there are of something."""
+    numeric = element.tag == "numeric" and name == "size"
+    return numeric or name in _COUNTS or name.startswith("nuser")
 
 
 def _copies(element: ET.Element) -> int:

@@ -7,6 +7,8 @@ git-lfs/docs/spec.md.
 from __future__ import annotations
 
 import codecs
+import os
+import stat
 
 HEAD = 4096
 """Bytes that are enough to know a stranger by."""
@@ -31,8 +33,8 @@ _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"RRF", "a rerun recording (.rrd), not an episode: open it with `rerun`"),
     (b"\x89PNG", "a PNG picture, not an episode"),
     (b"%PDF", "a PDF document, not an episode"),
-    (b"\x89MCAP", "an MCAP file, not what is wanted here"),
 )
+_MCAP = b"\x89MCAP"
 _TAR = (257, b"ustar")
 _MP4 = (4, b"ftyp")
 SUFFIXES = {
@@ -46,11 +48,12 @@ SUFFIXES = {
 """Logs of other programs that `coordlog import` takes, by the ends of their names."""
 
 
-def recognise(head: bytes | memoryview) -> str:
+def recognise(head: bytes | memoryview, *, texts: bool = True) -> str:
     """What these first bytes of a file are the start of, and what to do; "" if unknown.
 
     Args:
         head: The first HEAD bytes, or all of a smaller file.
+        texts: Whether a text without a mark of its own (JSON, CSV, plain) is named too.
 
     Example:
         >>> recognise(b"#ROSBAG V2.0")
@@ -60,6 +63,9 @@ def recognise(head: bytes | memoryview) -> str:
     for magic, sentence in _MAGIC:
         if head.startswith(magic):
             return sentence
+    if head.startswith(_MCAP):
+        ours = b"coordlog" in head
+        return "a recorded episode (MCAP): `coordlog info` describes it" if ours else "an MCAP file"
     if head.startswith(b"PK\x03\x04"):
         return _archive(head)
     if head[_TAR[0] :].startswith(_TAR[1]):
@@ -70,7 +76,32 @@ def recognise(head: bytes | memoryview) -> str:
         return "a safetensors file, as policies are: `coordlog record --policy` takes those"
     if head and not head.strip(b"\0"):
         return "nothing but zeros at its start: a download or a copy that did not finish?"
-    return _text(head)
+    return _text(head, plain=texts)
+
+
+def what_is(path: str | os.PathLike[str], *, texts: bool = True) -> str:
+    """What a file of this machine is, as `recognise` says; "" if it is unknown, or cannot be read.
+
+    Args:
+        path: Any path; of a pipe or a device nothing is read.
+        texts: As `recognise` takes it.
+    """
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except (OSError, ValueError):
+        return ""
+    try:
+        mode = os.fstat(fd).st_mode
+        if stat.S_ISDIR(mode):
+            return "a folder"
+        if not stat.S_ISREG(mode):
+            return "a pipe, a socket or a device"
+        head = os.read(fd, HEAD)
+    except OSError:
+        return ""
+    finally:
+        os.close(fd)
+    return recognise(head, texts=texts) if head else "an empty file (0 bytes)"
 
 
 def _archive(head: bytes) -> str:
@@ -86,8 +117,8 @@ def _archive(head: bytes) -> str:
     return "a zip archive: unpack it first (unzip)"
 
 
-def _text(head: bytes) -> str:
-    """A text of a known kind."""
+def _text(head: bytes, *, plain: bool) -> str:
+    """A text of a known kind; `plain`, of one without a mark of its own too."""
     try:
         text = codecs.getincrementaldecoder("utf-8-sig")().decode(head)  # a cut letter is none
     except UnicodeDecodeError:
@@ -97,6 +128,8 @@ def _text(head: bytes) -> str:
         return "a web page (HTML), not the file: the download was answered with a page"
     if start.startswith(("<mujoco", "<?xml", "<robot")):
         return "an XML document, not an episode: robots and scenes go to `coordlog robot`"
+    if not plain:
+        return ""
     if start.startswith(("{", "[")):
         return "a JSON text, not an episode"
     lines = text.splitlines()[:3]

@@ -42,6 +42,7 @@ def test_our_own_models_are_modest_and_plain(name: str) -> None:
         ('<asset><texture width="1000000" height="1000000"/></asset>', "cells"),
         ('<size memory="900G"/>', "memory"),
         ('<size nuserdata="1000000000"/>', "nuserdata"),
+        ('<size nkey="999999"/>', "nkey"),
         ('<custom><numeric name="a" size="1000000000"/></custom>', "size"),
     ],
 )
@@ -66,3 +67,4 @@ def test_what_takes_a_trial_is_not_plain() -> None:
     assert is_plain(root(GEOM * 200))
     assert not is_plain(root(GEOM * 300))
     assert not is_plain(root('<asset><mesh name="a"/></asset>'))
+    assert not is_plain(root('<size nuserdata="900000"/>'))

@@ -61,10 +61,10 @@ def _show(found: Difference, a: str, b: str) -> None:
         for digest, before, after in found.moved[:MANY]
     ]
     for line in lines:
-        terminal.out.print(line, highlight=False, markup=False, soft_wrap=True)
+        terminal.say(line)
     for name, (before, after) in found.settings.items():
         text = f"{name}: {_listed(before)} → {_listed(after)}"
-        terminal.out.print(text, highlight=False, markup=False, soft_wrap=True)
+        terminal.say(text)
     rows = [
         (name, *("-" if value is None else f"{value:,.6g}" for value in values))
         for name, values in found.figures.items()

@@ -94,11 +94,8 @@ def export(
     else:
         verb = "was there already" if done.unchanged else "written"
         resumed = f", {done.resumed} of {done.blocks} blocks resumed" if done.resumed else ""
-        terminal.out.print(
+        terminal.say(
             f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
         )
     for reason in skipped:
         terminal.note(f"skipped: {reason}")

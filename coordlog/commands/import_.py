@@ -234,11 +234,8 @@ def _report(each: Imported) -> dict[str, object]:
 
 def _said(each: Imported) -> None:
     there = f" ({each.present} were there already)" if each.present else ""
-    terminal.out.print(
+    terminal.say(
         f"{each.source}: {len(each.paths)} observed episodes{there}, {each.steps:,} steps",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
     )
     notes: dict[str, int] = {}
     for item in each.understood:

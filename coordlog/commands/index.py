@@ -111,18 +111,15 @@ def _show(
     left_out: list[str],
     wrong: list[Mismatch],
 ) -> None:
-    terminal.out.print(
+    terminal.say(
         f"{root}: {count:,} episodes; {change.new:,} new, {change.changed:,} changed,"
         f" {change.gone:,} gone",
-        highlight=False,
     )
     for item in wrong:
-        terminal.out.print(
+        terminal.say(
             f"{item.path}: expected the sha256 {item.wanted[:12]}, got {item.got[:12]}: its bytes"
             " were changed",
             style="red",
-            highlight=False,
-            markup=False,
         )
     for reason in left_out[:SAID]:
         terminal.note(f"skipped: {reason}")

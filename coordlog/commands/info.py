@@ -119,9 +119,7 @@ def _show_contacts(row: Row) -> None:
             (names[g] if g < len(names) else "") or f"geom {g}" for g in (one, other)
         )
         depth = contacts["depth"][pair].max() * 1e3
-        terminal.out.print(
-            f"contact: {label} at {count} steps, {depth:.1f} mm deep at most", highlight=False
-        )
+        terminal.say(f"contact: {label} at {count} steps, {depth:.1f} mm deep at most")
 
 
 def _cells(row: Row) -> list[object]:

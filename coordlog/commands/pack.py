@@ -116,9 +116,7 @@ def _tell(done: Packed, text: str, *, as_json: bool) -> None:
         terminal.print_json(done._asdict())
         return
     there = f", {done.there:,} were there" if done.there else ""
-    terminal.out.print(
-        f"{text} ({terminal.megabytes(done.size)}){there}", highlight=False, markup=False
-    )
+    terminal.say(f"{text} ({terminal.megabytes(done.size)}){there}")
 
 
 def _finish(interrupted: bool, left_out: list[str]) -> None:

@@ -67,7 +67,7 @@ def query(
     table = ask(sql, found.sources, where=where, steps=steps)
     if out is not None:
         _write(table, out)
-        terminal.out.print(f"{out}: {table.num_rows:,} rows", highlight=False, markup=False)
+        terminal.say(f"{out}: {table.num_rows:,} rows")
     elif as_json:
         terminal.print_json(_rows(table))
     else:

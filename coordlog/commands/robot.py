@@ -96,9 +96,10 @@ def _card(
             out.write_text(text, encoding="utf-8")
         except OSError as error:
             raise StorageError(f"{out}: cannot write the card: {error.strerror}") from error
-        terminal.out.print(str(out), highlight=False)
+        terminal.say(str(out))
     elif not quiet:
-        terminal.out.print(text, highlight=False, markup=False, end="")
+        for line in text.splitlines():
+            terminal.say(line)
     return Scene(found.robot.name, f"Goals that {found.robot.name} can reach", found.robot)
 
 

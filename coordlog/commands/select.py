@@ -80,11 +80,9 @@ def select(
         )
     else:
         parts = ", ".join(f"{count:,} {name}" for name, count in written.parts.items() if name)
-        terminal.out.print(
+        terminal.say(
             f"{out}: {len(written.chosen):,} episodes{f' ({parts})' if parts else ''}, version"
             f" {written.version}, {written.hash[:12]}",
-            highlight=False,
-            markup=False,
         )
     if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)

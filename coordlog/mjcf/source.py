@@ -20,6 +20,7 @@ import numpy as np
 from coordlog.errors import ConfigError
 from coordlog.mjcf.printing import Source, printed
 from coordlog.robots.robot import Arm, Robot
+from coordlog.strangers import what_is
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 FROM_GEOMS = 1
@@ -177,6 +178,13 @@ def _included(robot: Robot) -> dict[str, bytes]:
 
 def _refused(robot: Robot, error: ValueError) -> ConfigError:
     said = str(error).strip().splitlines()[0].removeprefix("Error: ")
+    if isinstance(robot.mjcf, Path):
+        what = what_is(robot.mjcf)
+        if what and not what.startswith("an XML"):
+            return ConfigError(
+                f"robot '{robot.name}': expected its model as MJCF or URDF in {robot.mjcf}, "
+                f"got {what}"
+            )
     return ConfigError(
         f"robot '{robot.name}': expected its model as MJCF or URDF that MuJoCo takes, which says: "
         f"{said}"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from coordlog.errors import CoordlogError, FormatError, SpecError, StorageError
 from coordlog.record.addresses import expand
-from coordlog.record.storage import PART
+from coordlog.record.storage import NO_TEXT, PART, is_text
 from coordlog.strangers import SUFFIXES, recognise
 
 if TYPE_CHECKING:
@@ -199,9 +199,12 @@ class _Walk:
 
         Raises:
             FormatError: if it is no file.
+            StorageError: if its name is no text.
         """
         if not stat.S_ISREG(status.st_mode):
             raise FormatError(f"{path}: expected a file or a folder, got {_kind(status.st_mode)}")
+        if not is_text(path):
+            raise StorageError(f"{path}: {NO_TEXT}")
         if self.is_new(status):
             self._take(path, status)
 
@@ -253,6 +256,9 @@ class _Walk:
             self.parts.append(path)
 
     def _take(self, path: Path, status: os.stat_result) -> None:
+        if not is_text(path):
+            self.skip(path, NO_TEXT)
+            return
         self._paths.append(path)
         self.stamps[os.fspath(path)] = (status.st_size, status.st_mtime_ns)
 

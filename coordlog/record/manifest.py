@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from coordlog.errors import FormatError, SpecError, StorageError, unknown
 from coordlog.record.places import Folder, is_url
 from coordlog.record.storage import translated
+from coordlog.strangers import recognise
 
 SUFFIX = ".manifest"
 EDITION = 1
@@ -139,7 +140,10 @@ def decode(data: bytes) -> Manifest:
         head = json.loads(first)
         edition = head["coordlog_manifest"]
     except (ValueError, KeyError, TypeError):
-        raise FormatError("not a manifest; `coordlog select` writes them") from None
+        what = recognise(data, texts=False)
+        raise FormatError(
+            f"not a manifest{what and ', got '}{what}; `coordlog select` writes them"
+        ) from None
     if edition != EDITION:
         raise FormatError(f"manifest of edition {edition}; this release reads edition {EDITION}")
     try:

@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Any
 
 from coordlog.episode import LAYOUT_KEYS, Header, Json, Result
-from coordlog.errors import FormatError, SpecError
+from coordlog.errors import FormatError, NewerError, SpecError
 from coordlog.record import declared
 from coordlog.record.cdr import TYPES
 from coordlog.spec import READABLE, STEP, Layout, names
@@ -175,7 +175,8 @@ def require_version(episode: Strings) -> int:
     release reads.
 
     Raises:
-        FormatError: if it is of another version, or says none.
+        NewerError: if it is of a later version.
+        FormatError: if it is of another one, or says none.
     """
     version = episode.get("schema_version")
     if version is None:
@@ -184,7 +185,7 @@ def require_version(episode: Strings) -> int:
         return int(version)
     reads = f"this release reads versions {READABLE[0]} to {READABLE[-1]}"
     if version.isdecimal() and int(version[:9]) > READABLE[-1]:
-        raise FormatError(
+        raise NewerError(
             f"schema version {version}; {reads}: a release of coordlog that writes version "
             f"{version}, or a later one, reads it (pip install --upgrade coordlog)"
         )

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from coordlog.errors import FormatError, TruncatedError
+from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.addresses import fetch, is_elsewhere
 from coordlog.record.records import (
     FOOTER,
@@ -29,7 +29,7 @@ from coordlog.record.records import (
     unpack_metadata,
     walk,
 )
-from coordlog.record.storage import translated
+from coordlog.record.storage import NO_TEXT, is_text, translated
 from coordlog.strangers import recognise
 
 File = str | os.PathLike[str]
@@ -37,6 +37,8 @@ File = str | os.PathLike[str]
 OURS = "coordlog/"
 """How the library that coordlog writes into a file's header starts; a version follows."""
 PREFIX = "coordlog."
+_MARK = re.compile(rb"coordlog\.(episode|env|policy|lineage|result)")
+"""What both ends of an episode hold, whatever has befallen some of their bytes."""
 HEAD = 1 << 16
 """Enough for the opening metadata of any robot we know; more is read where it is not."""
 _ORDER = re.compile(rb"\x01(\x0c{0,3}|\x0c{4}\x09*(\x06\x07*)*(\x0c(\x0f.*)?)?)\Z", re.DOTALL)
@@ -63,6 +65,8 @@ def opened(path: File) -> Iterator[int]:
         FormatError: if the path is a folder.
         StorageError: if it cannot be read.
     """
+    if not is_text(path):
+        raise StorageError(f"{os.fspath(path)}: {NO_TEXT}")
     with naming(path), translated(Path(path), "read"):
         if is_elsewhere(path):
             with tempfile.TemporaryFile() as copy:
@@ -142,6 +146,21 @@ def rewritten_by(data: bytes | memoryview) -> str:
         return ""
     name = printable(writer_of(data))
     return "another MCAP tool" if name.startswith(OURS) else name or "an unknown program"
+
+
+def looks_ours(path: File) -> bool:
+    """Whether a file has been an episode, to judge by the marks that damage leaves: what coordlog
+    writes at both ends of a file, and that it is not plainly something else.
+
+    Raises:
+        StorageError: if it cannot be read.
+    """
+    with opened(path) as fd:
+        size = os.fstat(fd).st_size
+        ends = read(fd, 0, HEAD) + read(fd, max(size - HEAD, 0), size)
+    if not ends.startswith(MAGIC) and recognise(ends, texts=False):
+        return False
+    return writer_of(ends).startswith(OURS) or _MARK.search(ends) is not None
 
 
 def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:

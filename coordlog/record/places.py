@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from coordlog.errors import ConfigError, StorageError
-from coordlog.record.storage import PartFile, translated
+from coordlog.record.storage import PartFile, discard_dead, translated
 
 SCHEMES = {"s3": "AWS", "gs": "GOOGLE", "az": "AZURE"}
 """Object stores, and how the environment variables begin that their credentials are read from."""
@@ -109,21 +110,27 @@ class Folder:
         return require_whole(str(path), data, start, len(data) if size is None else size)
 
     def create(self, name: str, data: bytes) -> None:
-        """Make a file, durably; see `storage.PartFile`.
+        """Make a file, durably; see `storage.PartFile`. What a writer that was killed left of it is
+        made anew.
 
         Raises:
-            StorageError: if the name is taken, or the file system refuses.
+            StorageError: if the name is taken, or the file system refuses; nothing is left then.
         """
         path = self.path / name
         with translated(path.parent, "make the folder"):
             path.parent.mkdir(parents=True, exist_ok=True)
+        discard_dead(path, data)
         part = PartFile(path)
         try:
             part.append(data)
             part.publish()
-        except BaseException:
+        except StorageError as error:
+            with suppress(StorageError):
+                part.discard()
+            reason = getattr(error.__cause__, "strerror", None) or str(error)
+            raise StorageError(f"{path}: cannot write: {reason}") from error.__cause__
+        finally:
             part.close()
-            raise
 
     def remove(self, name: str) -> None:
         """Delete a file; none there is no error.

@@ -11,12 +11,13 @@ import errno
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from coordlog.errors import StorageError
 
 PART = ".part"
+NO_TEXT = "its name is not UTF-8, which no log can refer to: rename the file or its folder"
 
 _NO_HARD_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
 
@@ -35,6 +36,15 @@ def translated(path: Path, doing: str, advice: str = "") -> Iterator[None]:
         ) from error
 
 
+def is_text(path: str | os.PathLike[str]) -> bool:
+    """Whether a path can be written down as UTF-8; names on disk may be any bytes."""
+    try:
+        os.fspath(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 class PartFile:
     """One file being written; closed, published or discarded exactly once."""
 
@@ -45,6 +55,8 @@ class PartFile:
             StorageError: if NAME or NAME.part exists, or the folder cannot be written to.
         """
         self.path, self.part = path, path.with_name(path.name + PART)
+        if not is_text(path):
+            raise StorageError(f"{path}: {NO_TEXT}")
         refuse_existing(path)
         refuse_existing(self.part)
         with translated(self.part, "create the file", "does the folder exist and allow writing?"):
@@ -127,6 +139,16 @@ def locked(path: Path) -> Iterator[bool]:
         yield lock(fd)
     finally:
         os.close(fd)
+
+
+def discard_dead(path: Path, data: bytes) -> None:
+    """Delete the NAME.part that a killed writer of these bytes left; a recording that was
+    interrupted under that name is none.
+    """
+    part = path.with_name(path.name + PART)
+    with suppress(StorageError, OSError), locked(part) as ours:
+        if ours and (path.suffix != ".mcap" or data.startswith(part.read_bytes())):
+            part.unlink()
 
 
 def refuse_existing(path: Path) -> None:

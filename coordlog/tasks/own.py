@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from coordlog.errors import ConfigError, unknown
+from coordlog.strangers import what_is
 from coordlog.tasks.card import read_card
-from coordlog.tasks.scene import Scene, find
+from coordlog.tasks.scene import SCENES, Scene, find
 
 NAMES_FILES = re.compile(r"\bfile(name)?\s*=")
 """A model in MJCF or URDF that reads files."""
@@ -31,6 +32,11 @@ def scene_of(name: str) -> Scene:
     if name.endswith(".toml"):
         return read_card(Path(name))
     file, colon, attribute = name.rpartition(":")
+    what = "" if name in SCENES else what_is(name) or what_is(file, texts=False)
+    if what:
+        raise ConfigError(
+            f"{name}: expected a scene, a robot's card (.toml) or FILE.py:NAME, got {what}"
+        )
     if not colon:
         return find(name)
     found = run_file(Path(file), "scenes")

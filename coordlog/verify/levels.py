@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from coordlog.errors import FormatError, StorageError, TruncatedError, unknown
+from coordlog.errors import FormatError, NewerError, StorageError, TruncatedError, unknown
 from coordlog.monitor import Monitor
 from coordlog.parallel import batches, mapped, shard
 from coordlog.verify.finding import Finding
@@ -109,7 +109,8 @@ def left_out_lines(skipped: Iterable[str], unfinished: Iterable[object]) -> list
 
 
 def _recognised(path: Path, found: list[Finding]) -> tuple[list[Finding], str]:
-    """What was found in a file, if it looks like an episode, or why it is none."""
+    """What was found in a file, if it is an episode, however damaged, or why it is none."""
+    from coordlog.record.opening import looks_ours
     from coordlog.record.reader import probe
 
     try:
@@ -117,7 +118,9 @@ def _recognised(path: Path, found: list[Finding]) -> tuple[list[Finding], str]:
     except TruncatedError as error:
         return [Finding(str(path), "file", None, "file", "a finished episode", str(error))], ""
     except (FormatError, StorageError) as error:
-        return [], str(error)
+        later = isinstance(error, NewerError) and str(error).endswith(found[0].got)
+        if isinstance(error, StorageError) or later or not looks_ours(path):
+            return [], str(error)
     return found, ""
 
 

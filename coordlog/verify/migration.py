@@ -7,14 +7,16 @@ written with what it had, and that is said.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from coordlog.episode import MODEL_MJB, Array, Header
-from coordlog.errors import CoordlogError, FormatError
+from coordlog.errors import CoordlogError, FormatError, StorageError, TruncatedError
 from coordlog.record.reader import read_header
 from coordlog.record.recording import Recording
+from coordlog.record.storage import PART, locked
 from coordlog.record.writer import write_episode
 from coordlog.sim.replay import Log, exact_here, replay
 from coordlog.spec import JOINT_STATE_TOPIC, SCHEMA_VERSION
@@ -71,7 +73,15 @@ def migrate(source: Recording, target: Path) -> Migrated:
         columns={**source.episode.columns, **columns},
     )
     kept = {name: data for name, data in source.attachments.items() if name != MODEL_MJB}
-    write_episode(target, episode, attachments=kept, display=source.has(JOINT_STATE_TOPIC))
+    _discard_killed(source, target)
+    try:
+        write_episode(target, episode, attachments=kept, display=source.has(JOINT_STATE_TOPIC))
+    except StorageError as error:
+        _discard_killed(source, target)
+        refused = getattr(error.__cause__, "strerror", None)
+        raise StorageError(
+            f"{target}: cannot write: {refused}" if refused else str(error)
+        ) from error
     return Migrated(target, not reason, reason)
 
 
@@ -87,6 +97,25 @@ def migrated_before(source: Recording, target: Path) -> bool:
     except CoordlogError:
         return False
     return bool(lineage["transform"] == MIGRATED and lineage["parents"] == [source.digest])
+
+
+def _discard_killed(source: Recording, target: Path) -> None:
+    """Delete the part file that an earlier try to migrate this episode left: it has nothing that
+    the source has not.
+    """
+    part = target.with_name(target.name + PART)
+    with suppress(StorageError, OSError), locked(part) as ours:
+        if ours and (migrated_before(source, part) or _holds_nothing(part)):
+            part.unlink()
+
+
+def _holds_nothing(part: Path) -> bool:
+    """Whether a part file ends before it says of what it is."""
+    try:
+        read_header(part)
+    except FormatError as error:
+        return isinstance(error, TruncatedError) or not part.stat().st_size
+    return False
 
 
 def _simulated(source: Recording) -> tuple[dict[str, Array], str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from coordlog.episode import Array, Episode
 from coordlog.errors import StorageError
 from coordlog.kinematics.geometry import Geometry
 from coordlog.path import Path as Spline
+from coordlog.record.storage import PART, move_new
 from coordlog.robots.robot import Robot
 from coordlog.view.palette import ARMS, JOINTS, Colour, cycle
 
@@ -110,14 +112,21 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> None:
     refuse_figure(path, force=force)
     content = BytesIO()
     figure.savefig(content, dpi=150, format=path.suffix[1:].lower())
+    part = path.with_name(path.name + PART)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb" if force else "xb") as stream:
-            stream.write(content.getbuffer())
+        part.write_bytes(content.getbuffer())
+        if force:
+            os.replace(part, path)
+        else:
+            move_new(part, path)
     except FileExistsError:
         refuse_figure(path, force=False)
     except OSError as error:
         raise StorageError(f"{path}: cannot write the figure: {error.strerror}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
 def refuse_figure(path: Path, *, force: bool) -> None:
