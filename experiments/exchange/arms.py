@@ -33,6 +33,8 @@ correlation from sample to sample."""
 FINE = 16
 FREE = 0.01
 """Distance that a motion keeps before noise is added [m]."""
+TRIES = 5
+"""Motions from one pose before another is taken."""
 FARTHEST = 0.1
 """rad: the option of `coordlog smooth`."""
 
@@ -101,38 +103,50 @@ class Touching:
         self._together = scene.together()
         self._places = scene.places
 
-    def __call__(self, path: Array, margin: float = 0.0) -> int:
-        """How many of the configurations touch something, or come nearer than a margin [m]."""
-        model, data, count = self.scene.model, self.data, 0
+    def __call__(self, path: Array) -> int:
+        """How many of the configurations touch something."""
+        return sum(self._touches(row, 0.0) for row in path)
+
+    def free(self, path: Array) -> bool:
+        """Whether all of them keep `FREE` from everything; a look at every tenth comes first."""
+        return not any(self._touches(row, FREE) for row in (*path[::10], *path))
+
+    def _touches(self, row: Array, margin: float) -> bool:
+        model, data = self.scene.model, self.data
         model.geom_margin[:] = margin
         data.qpos[:] = self.scene.rest
-        for row in path:
-            data.qpos[self._places] = row
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            found = zip(data.contact.geom.tolist(), data.contact.dist.tolist(), strict=True)
-            count += any(
-                dist < margin and tuple(pair) not in self._together for pair, dist in found
-            )
-        return count
+        data.qpos[self._places] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if not data.ncon:
+            return False
+        found = zip(data.contact.geom.tolist(), data.contact.dist.tolist(), strict=True)
+        return any(dist < margin and tuple(pair) not in self._together for pair, dist in found)
 
 
 def motion(scene: Scene, touching: Touching, rng: np.random.Generator) -> Array:
-    """A free motion through three free configurations: cubic splines, at rest at both ends."""
+    """A free motion by three free poses: a parabola, at rest at both ends."""
     low, high = np.array([scene.model.joint(name).range for name in scene.joints]).T
-    middle = scene.rest[scene.places]
     count = int(RATE * SECONDS) + 1
     at = np.linspace(0.0, 1.0, count)
     blend = at**3 * (10.0 - 15.0 * at + 6.0 * at**2)
+
+    def pose(near: Array | None) -> Array:
+        while True:
+            found = rng.uniform(low, high) if near is None else rng.normal(near, 0.4)
+            found = low + 0.1 + np.clip(found - low - 0.1, 0.0, high - low - 0.2)
+            if touching.free(found[None]):
+                return found
+
     while True:
-        poses = np.clip(middle + rng.normal(0.0, 0.6, (3, len(low))), low + 0.05, high - 0.05)
-        if touching(poses, FREE):
-            continue
-        first, second, third = poses
-        path = first + blend[:, None] * (third - first)
-        path += (4.0 * blend * (1.0 - blend))[:, None] * (second - 0.5 * (first + third))
-        if (path > low + 0.03).all() and (path < high - 0.03).all() and not touching(path, FREE):
-            return path
+        first = pose(None)
+        for _ in range(TRIES):
+            second, third = pose(first), pose(first)
+            path = first + blend[:, None] * (third - first)
+            path += (4.0 * blend * (1.0 - blend))[:, None] * (second - 0.5 * (first + third))
+            inside = (path > low + 0.05).all() and (path < high - 0.05).all()
+            if inside and touching.free(path):
+                return path
 
 
 def recordings(scene: Scene, touching: Touching, folder: Path, count: int) -> list[Array]:
