@@ -102,6 +102,9 @@ class Touching:
         self.scene, self.data = scene, mujoco.MjData(scene.model)
         self._together = scene.together()
         self._places = scene.places
+        self._near: set[tuple[int, int]] = set()
+        """Pairs that are nearer than `FREE` at rest: neighbours, which need only not touch."""
+        self._near = {pair for pair, _ in self._found(scene.rest[scene.places], FREE)}
 
     def __call__(self, path: Array) -> int:
         """How many of the configurations touch something."""
@@ -112,16 +115,20 @@ class Touching:
         return not any(self._touches(row, FREE) for row in (*path[::10], *path))
 
     def _touches(self, row: Array, margin: float) -> bool:
+        found = self._found(row, margin)
+        return any(dist < 0.0 or pair not in self._near for pair, dist in found)
+
+    def _found(self, row: Array, margin: float) -> list[tuple[tuple[int, int], float]]:
+        """Pairs nearer than a margin, and their distances [m]."""
         model, data = self.scene.model, self.data
         model.geom_margin[:] = margin
         data.qpos[:] = self.scene.rest
         data.qpos[self._places] = row
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        if not data.ncon:
-            return False
-        found = zip(data.contact.geom.tolist(), data.contact.dist.tolist(), strict=True)
-        return any(dist < margin and tuple(pair) not in self._together for pair, dist in found)
+        pairs = map(tuple, data.contact.geom.tolist())
+        found = zip(pairs, data.contact.dist.tolist(), strict=True)
+        return [item for item in found if item[1] < margin and item[0] not in self._together]
 
 
 def motion(scene: Scene, touching: Touching, rng: np.random.Generator) -> Array:
