@@ -7,7 +7,8 @@ CoordlogError                exit code 2
 │   └── TruncatedError       an episode that ends before its commit marker; `coordlog recover` helps
 ├── StorageError             the file system said no: full, read-only, would overwrite
 ├── SimulationError          the physics cannot be built or has diverged
-└── ViewerError              the viewer cannot start: no display, no Vulkan, a port that is taken
+├── ViewerError              the viewer cannot start: no display, no Vulkan, a port that is taken
+└── WorkerError              a process that worked for this one was killed
 
 A message is one sentence or two: what, wanted, got, what to do. The command line prints it and
 exits with `exit_code`; a library user catches `CoordlogError`.
@@ -54,6 +55,10 @@ class SimulationError(CoordlogError):
 
 class ViewerError(CoordlogError):
     """The viewer cannot start or does not answer; the message says what works instead."""
+
+
+class WorkerError(CoordlogError):
+    """A process that worked for this one was killed, from outside or for want of memory."""
 
 
 EXTRA_OF = {

@@ -17,10 +17,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from coordlog.errors import ConfigError, CoordlogError
+from coordlog.errors import ConfigError, CoordlogError, WorkerError
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -85,6 +86,7 @@ def mapped(
 
     Raises:
         ConfigError: if `jobs` is none, or the cluster cannot be reached.
+        WorkerError: if a process was killed.
 
     Example:
         >>> list(mapped(abs, [-1, 2], jobs=1))
@@ -104,13 +106,19 @@ def mapped(
     # state.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, spawn, initializer=_attend, initargs=(ends,)) as pool:
-        yield from _in_order(
-            items,
-            max(window, count * _IN_FLIGHT),
-            submit=lambda item: pool.submit(function, item),
-            answer=lambda future: future.result(),
-            cancel=lambda future: future.cancel(),
-        )
+        try:
+            yield from _in_order(
+                items,
+                max(window, count * _IN_FLIGHT),
+                submit=lambda item: pool.submit(function, item),
+                answer=lambda future: future.result(),
+                cancel=lambda future: future.cancel(),
+            )
+        except BrokenProcessPool:
+            raise WorkerError(
+                "a process at work was killed, from outside or because memory ran out; what it had "
+                "finished is kept: run the command again, with fewer --jobs if it was memory"
+            ) from None
 
 
 def _attend(ends: bool) -> None:

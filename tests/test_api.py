@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coordlog
-from coordlog.errors import ConfigError, CoordlogError, FormatError, StorageError
+from coordlog.errors import ConfigError, CoordlogError, StorageError
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_a_recording_of_the_viewer_is_saved_once(logs: Path, tmp_path: Path) -> 
         (lambda t: coordlog.smooth(t), ConfigError, "expected a folder"),
         (lambda t: coordlog.smooth(t, out=t / "o", smoth=1), ConfigError, "unknown option 'smoth'"),
         (lambda t: coordlog.train(t, out=t / "r", udates=1), ConfigError, "unknown option"),
-        (lambda t: coordlog.export(t, to="lerobot", out=t / "e"), FormatError, "no episodes"),
+        (lambda t: coordlog.export(t, to="lerobot", out=t / "e"), CoordlogError, "no episodes"),
         (lambda t: coordlog.view(t), CoordlogError, "no episodes"),
     ],
 )

@@ -34,6 +34,7 @@ from rich.table import Table
 from rich.text import Text
 
 from coordlog import monitor
+from coordlog.errors import WorkerError
 
 PIPED_WIDTH = 180
 """Columns where the output is no terminal: a file or a pager does not wrap."""
@@ -266,6 +267,10 @@ def interruptible() -> Iterator[Watcher]:
     }
     try:
         yield watcher
+    except WorkerError:  # what stops this process often stops its whole group
+        if watcher.stopped:
+            raise KeyboardInterrupt from None
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -13,7 +15,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from coordlog.cli import app
-from coordlog.errors import CoordlogError
+from coordlog.commands import terminal
+from coordlog.errors import CoordlogError, WorkerError
 from coordlog.parallel import mapped, shard, workers
 
 DATA = Path(__file__).parents[1] / "data" / "v1"
@@ -215,3 +218,25 @@ def test_shards_are_disjoint_and_make_the_whole() -> None:
         "ray",
         "ray://host:1",
     ]
+
+
+def killed(signal_number: int) -> None:
+    """End as a process does that the system kills for its memory."""
+    os.kill(os.getpid(), signal_number)
+
+
+def test_a_killed_worker_is_one_sentence() -> None:
+    with pytest.raises(WorkerError, match="what it had finished is kept"):
+        list(mapped(killed, [signal.SIGKILL] * 2, jobs=2))
+
+
+def stopped_with_its_workers() -> None:
+    """What a signal to a whole group of processes is."""
+    with terminal.interruptible():
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise WorkerError("killed")
+
+
+def test_workers_that_end_with_a_stopped_command_are_no_error_of_theirs() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stopped_with_its_workers()

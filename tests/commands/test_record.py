@@ -71,7 +71,7 @@ def test_record_sums_up_what_it_did(tmp_path: Path) -> None:
     assert summary["success"] == 0.0
     assert summary["steps"] == 3 * 150
     assert summary["recording_us_per_step"] > 0
-    assert sorted(summary["files"]) == sorted(str(path) for path in tmp_path.iterdir())
+    assert sorted(summary["files"]) == sorted(map(str, tmp_path.glob("*.mcap")))
 
 
 def test_record_says_its_doubts_about_a_reward(tmp_path: Path) -> None:
@@ -254,7 +254,8 @@ def test_two_runs_into_one_folder_at_once_do_not_collide(tmp_path: Path) -> None
         )
         for _ in range(2)
     ]
-    assert [process.communicate(timeout=300)[1] for process in both] == ["", ""]
+    for process in both:
+        assert "collides with anything" in process.communicate(timeout=300)[1]
     assert [process.returncode for process in both] == [0, 0]
     assert len(list(tmp_path.glob("*.mcap"))) == 12
     run("check", tmp_path, "--jobs", "1")

@@ -79,8 +79,8 @@ def test_unknown_options_are_refused_before_a_file_is_read(log: Path, tmp_path: 
 
 def test_a_summary_is_of_what_was_executed(log: Path, tmp_path: Path) -> None:
     batch = plan([log], tmp_path, SETTINGS, write=False)
-    rows = list(batch.run(processes=1))
-    found = summary(rows, batch, SETTINGS, seconds=1.0)
+    rows = [smooth_file(job) for job in batch.jobs]
+    found = summary(rows, SETTINGS, batch.files, wanted=1, seconds=1.0)
     assert (found["wanted"], found["episodes"], found["resumed"]) == (1, 1, 0)
     parameters = rows[0]["parameters"]
     ratio = parameters["after"]["jerk"] / parameters["before"]["jerk"]

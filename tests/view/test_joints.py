@@ -19,7 +19,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     noisy = ("--scene", "planar", "--episodes", "1", "--noise", "0.2")
     sound("record", *noisy, "--out", folder / "raw")
     sound("smooth", folder / "raw", "--out", folder / "new")
-    (raw,) = (folder / "raw").iterdir()
+    (raw,) = (folder / "raw").glob("*.mcap")
     return raw, folder / "new" / raw.name
 
 
