@@ -137,7 +137,7 @@ def payload_crc(records: Sequence[bytes | memoryview] | Rows, crc: int = 0) -> i
     stand.
     """
     if isinstance(records, Rows):
-        return zlib.crc32(np.ascontiguousarray(records.payloads()), crc)
+        return zlib.crc32(np.ascontiguousarray(records.payloads()).data, crc)
     for record in records:
         crc = zlib.crc32(record[PREFIX_SIZE:], crc)
     return crc

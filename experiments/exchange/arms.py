@@ -143,7 +143,7 @@ def motion(scene: Scene, touching: Touching, rng: np.random.Generator) -> Array:
             found = rng.uniform(low, high) if near is None else rng.normal(near, 0.4)
             found = low + 0.1 + np.clip(found - low - 0.1, 0.0, high - low - 0.2)
             if touching.free(found[None]):
-                return found
+                return np.asarray(found)
 
     while True:
         first = pose(None)
@@ -153,7 +153,7 @@ def motion(scene: Scene, touching: Touching, rng: np.random.Generator) -> Array:
             path += (4.0 * blend * (1.0 - blend))[:, None] * (second - 0.5 * (first + third))
             inside = (path > low + 0.05).all() and (path < high - 0.05).all()
             if inside and touching.free(path):
-                return path
+                return np.asarray(path)
 
 
 def recordings(scene: Scene, touching: Touching, folder: Path, count: int) -> list[Array]:
