@@ -412,3 +412,9 @@ def test_a_simulations_clock_may_begin_at_zero(tmp_path):
     assert motion.stamps.tolist() == [i * 10**7 for i in range(N)]
     refused(bag(tmp_path / "real", START, 0), "message 0: expected a header stamp, got zero")
     refused(bag(tmp_path / "later", 0, 3), "message 0: expected a header stamp, got zero")
+
+
+def test_a_minari_set_whose_metadata_is_broken_is_refused(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "metadata.json").write_text("{")
+    refused(tmp_path, "metadata.json: expected JSON", rate=20.0)
