@@ -17,7 +17,11 @@ _IMPORT = "`coordlog import` takes it"
 _ARRAYS = "read it in Python and give the arrays to coordlog.smooth.smooth"
 _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"\x00\x05\x16\x07", "an AppleDouble file, what macOS keeps beside a file: not data"),
-    (b"#ROSBAG V", f"a ROS 1 bag, not an episode: {_IMPORT}"),
+    (
+        b"#ROSBAG V",
+        "a ROS 1 bag, not an episode: `rosbags-convert` makes a ROS 2 bag of it, which `coordlog "
+        "import` takes",
+    ),
     (b"SQLite format 3\0", f"an SQLite database, as rosbag2 writes (.db3): {_IMPORT}"),
     (b"\x89HDF\r\n\x1a\n", f"an HDF5 file, not an episode: {_IMPORT}"),
     (b"PAR1", f"a Parquet file, not an episode: {_IMPORT}"),
@@ -56,8 +60,8 @@ def recognise(head: bytes | memoryview, *, texts: bool = True) -> str:
         texts: Whether a text without a mark of its own (JSON, CSV, plain) is named too.
 
     Example:
-        >>> recognise(b"#ROSBAG V2.0")
-        'a ROS 1 bag, not an episode: `coordlog import` takes it'
+        >>> recognise(b"PAR1")
+        'a Parquet file, not an episode: `coordlog import` takes it'
     """
     head = bytes(head[:HEAD])
     for magic, sentence in _MAGIC:

@@ -19,37 +19,44 @@ if TYPE_CHECKING:
     from coordlog.exchange.source import Entry
 
 
+To = Annotated[
+    str,
+    typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
+]
+Where = Annotated[
+    str,
+    typer.Option(help="Only episodes that satisfy an SQL condition.", metavar="SQL"),
+]
+Camera = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Camera of the model, or "pos=x,y,z lookat=x,y,z" [m]; again for more.',
+        metavar="NAME",
+    ),
+]
+Like = Annotated[
+    Path | None,
+    typer.Option(
+        help="LeRobot set the episodes came from: copy it, move only its joints.",
+        metavar="SOURCE",
+    ),
+]
+SkipBroken = Annotated[
+    bool, flag("--skip-broken", "Leave out files that are damaged, and name them.")
+]
+
+
 def export(
     path: Episodes,
-    to: Annotated[
-        str,
-        typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
-    ],
+    to: To,
     out: Annotated[Path, typer.Option(help="Folder of the set; it appears when it is complete.")],
-    where: Annotated[
-        str,
-        typer.Option(help="Only episodes that satisfy an SQL condition.", metavar="SQL"),
-    ] = "",
-    camera: Annotated[
-        list[str] | None,
-        typer.Option(
-            help='Camera of the model, or "pos=x,y,z lookat=x,y,z" [m]; again for more.',
-            metavar="NAME",
-        ),
-    ] = None,
+    where: Where = "",
+    camera: Camera = None,
     size: Annotated[str, typer.Option(help="Of the images.", metavar="WxH")] = "224x224",
     storage: Annotated[str, typer.Option(help="Of a rosbag2: mcap or sqlite3.")] = "mcap",
-    like: Annotated[
-        Path | None,
-        typer.Option(
-            help="LeRobot set the episodes came from: copy it, move only its joints.",
-            metavar="SOURCE",
-        ),
-    ] = None,
+    like: Like = None,
     jobs: Jobs = "0",
-    skip_broken: Annotated[
-        bool, flag("--skip-broken", "Leave out files that are damaged, and name them.")
-    ] = False,
+    skip_broken: SkipBroken = False,
     force: Annotated[bool, flag("--force", "Replace what is at --out.")] = False,
     as_json: Annotated[bool, json_flag("what was done")] = False,
 ) -> None:
@@ -92,15 +99,22 @@ def export(
     if as_json:
         terminal.print_json({**done._asdict(), "out": str(out), "to": to, "skipped": skipped})
     else:
-        verb = "was there already" if done.unchanged else "written"
-        resumed = f", {done.resumed} of {done.blocks} blocks resumed" if done.resumed else ""
-        terminal.say(
-            f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}",
-        )
+        _said(done, out, to)
     for reason in skipped:
         terminal.note(f"skipped: {reason}")
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)
+
+
+def _said(done: Done, out: Path, to: str) -> None:
+    verb = "was there already" if done.unchanged else "written"
+    resumed = f", {done.resumed} of {done.blocks} blocks resumed" if done.resumed else ""
+    terminal.out.print(
+        f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
 
 
 def _like(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from coordlog.commands import terminal
-from coordlog.commands.options import Jobs, flag, json_flag
+from coordlog.commands.options import Jobs, chosen, flag, json_flag
 from coordlog.errors import EXIT_INTERRUPTED, EXIT_PARTIAL, ConfigError
 from coordlog.parallel import mapped
 
@@ -21,74 +21,82 @@ SAID = 12
 """Notes that are printed; --json has all."""
 
 
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        help=(
+            "ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, "
+            ".parquet, .csv."
+        )
+    ),
+]
+Out = Annotated[
+    Path | None, typer.Option(help="Folder for the episodes; not needed with --inspect.")
+]
+Robot = Annotated[
+    str, typer.Option(help="MJCF or URDF file, or one of our scenes.", metavar="MODEL")
+]
+Joints = Annotated[
+    Path | None,
+    typer.Option(help="Joint names, scales and offsets, in TOML.", metavar="MAP.toml"),
+]
+Stamps = Annotated[str, typer.Option(help="Clock of a bag: header or log; by default header.")]
+State = Annotated[
+    str, typer.Option(help="Feature or data set with the joint positions.", metavar="KEY")
+]
+Action = Annotated[
+    str, typer.Option(help="LeRobot feature with the commanded positions.", metavar="KEY")
+]
+Columns = Annotated[
+    str, typer.Option(help="Columns of a table with joint positions.", metavar="A,B,…")
+]
+Clock = Annotated[str, typer.Option(help="Column of a table with the time.", metavar="COLUMN")]
+Names = Annotated[
+    str, typer.Option(help="Names of the joints, where the source has none.", metavar="A,B,…")
+]
+NamesField = Annotated[
+    str, typer.Option(help="Field of a JSON or protobuf message with the joint names.")
+]
+PositionField = Annotated[
+    str, typer.Option(help="Field of a JSON or protobuf message with the positions.")
+]
+Rate = Annotated[
+    float, typer.Option(min=0, help="Samples a second, where there is no clock.", metavar="HZ")
+]
+Degrees = Annotated[bool, flag("--degrees", "Angles are in degrees: turn them into radians.")]
+Gap = Annotated[
+    float | None,
+    typer.Option(min=0, help="Begin an episode after a gap this long.", metavar="S"),
+]
+SplitTopic = Annotated[str, typer.Option(help="Begin an episode at every message on this topic.")]
+SplitClock = Annotated[bool, flag("--split-clock", "Begin an episode where time steps back.")]
+Resample = Annotated[
+    float,
+    typer.Option(min=0, help="Even samples, by straight lines; said in the lineage.", metavar="HZ"),
+]
+
+
 def import_(
-    source: Annotated[
-        list[Path],
-        typer.Argument(
-            help=(
-                "ROS 2 bag (folder, .mcap, .db3), LeRobot or Minari folder, .mcap, .hdf5, "
-                ".parquet, .csv."
-            )
-        ),
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the episodes; not needed with --inspect.")
-    ] = None,
-    robot: Annotated[
-        str, typer.Option(help="MJCF or URDF file, or one of our scenes.", metavar="MODEL")
-    ] = "",
-    joints: Annotated[
-        Path | None,
-        typer.Option(help="Joint names, scales and offsets, in TOML.", metavar="MAP.toml"),
-    ] = None,
+    source: Sources,
+    out: Out = None,
+    robot: Robot = "",
+    joints: Joints = None,
     inspect: Annotated[bool, flag("--inspect", "Show what is understood; write nothing.")] = False,
     topic: Annotated[str, typer.Option(help="Topic of a bag or MCAP.")] = "",
-    stamps: Annotated[
-        str, typer.Option(help="Clock of a bag: header or log; by default header.")
-    ] = "",
-    state: Annotated[
-        str, typer.Option(help="Feature or data set with the joint positions.", metavar="KEY")
-    ] = "",
-    action: Annotated[
-        str, typer.Option(help="LeRobot feature with the commanded positions.", metavar="KEY")
-    ] = "",
-    columns: Annotated[
-        str, typer.Option(help="Columns of a table with joint positions.", metavar="A,B,…")
-    ] = "",
-    clock: Annotated[
-        str, typer.Option(help="Column of a table with the time.", metavar="COLUMN")
-    ] = "",
-    names: Annotated[
-        str, typer.Option(help="Names of the joints, where the source has none.", metavar="A,B,…")
-    ] = "",
-    names_field: Annotated[
-        str, typer.Option(help="Field of a JSON or protobuf message with the joint names.")
-    ] = "",
-    position_field: Annotated[
-        str, typer.Option(help="Field of a JSON or protobuf message with the positions.")
-    ] = "",
-    rate: Annotated[
-        float, typer.Option(min=0, help="Samples a second, where there is no clock.", metavar="HZ")
-    ] = 0.0,
-    degrees: Annotated[
-        bool, flag("--degrees", "Angles are in degrees: turn them into radians.")
-    ] = False,
-    gap: Annotated[
-        float | None,
-        typer.Option(min=0, help="Begin an episode after a gap this long.", metavar="S"),
-    ] = None,
-    split_topic: Annotated[
-        str, typer.Option(help="Begin an episode at every message on this topic.")
-    ] = "",
-    split_clock: Annotated[
-        bool, flag("--split-clock", "Begin an episode where time steps back.")
-    ] = False,
-    resample: Annotated[
-        float,
-        typer.Option(
-            min=0, help="Even samples, by straight lines; said in the lineage.", metavar="HZ"
-        ),
-    ] = 0.0,
+    stamps: Stamps = "",
+    state: State = "",
+    action: Action = "",
+    columns: Columns = "",
+    clock: Clock = "",
+    names: Names = "",
+    names_field: NamesField = "",
+    position_field: PositionField = "",
+    rate: Rate = 0.0,
+    degrees: Degrees = False,
+    gap: Gap = None,
+    split_topic: SplitTopic = "",
+    split_clock: SplitClock = False,
+    resample: Resample = 0.0,
     force: Annotated[bool, flag("--force", "Write episodes that are there again.")] = False,
     jobs: Jobs = "0",
     as_json: Annotated[bool, json_flag("the report")] = False,
@@ -112,19 +120,8 @@ def import_(
     from coordlog.exchange.sources import Reading
     from coordlog.record.places import require_folder
 
-    reading = Reading(
-        topic=topic,
-        stamps=stamps,
-        state=state,
-        action=action,
-        columns=_listed(columns),
-        clock=clock,
-        names=_listed(names),
-        names_field=names_field,
-        position_field=position_field,
-        rate=rate,
-        degrees=degrees,
-    )
+    listed = {"columns": _listed(columns), "names": _listed(names)}
+    reading = chosen(Reading, locals() | listed)
     given = read_map(joints) if joints else JointMap()
     plan = Plan(reading, given, gap, split_topic, split_clock, resample)
     model = _model(robot)

@@ -68,7 +68,11 @@ def motions(
 
 def _minari_file(path: Path) -> Path:
     """The HDF5 file of a Minari set, which may also be in Arrow or Parquet."""
-    about = json.loads((path / "data" / "metadata.json").read_text("utf-8"))
+    file = path / "data" / "metadata.json"
+    try:
+        about = json.loads(file.read_text("utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FormatError(f"{file}: expected JSON, got: {error}") from error
     kind = about.get("data_format", "hdf5") if isinstance(about, dict) else "hdf5"
     if kind != "hdf5":
         raise FormatError(

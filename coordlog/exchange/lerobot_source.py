@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.motion import NS, Motion
-from coordlog.exchange.parquet_source import is_list
+from coordlog.exchange.parquet_source import matrix, numbers, read_columns
 
 VERSIONS = ("v3.0", "v2.1", "v2.0")
 STATE, ACTION = "observation.state", "action"
@@ -79,7 +78,7 @@ def read_info(path: Path) -> Json:
     """
     file = path / "meta" / "info.json"
     try:
-        info = json.loads(file.read_text("utf-8"))
+        info = json.loads(file.read_text("utf-8-sig"))
     except OSError as error:
         raise FormatError(f"{file}: cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -96,8 +95,11 @@ def read_info(path: Path) -> Json:
         isinstance(each, dict) for each in features.values()
     ):
         raise FormatError(f"{file}: features: expected a table of tables, got {features!s:.40}")
-    if not isinstance(info["fps"], int | float) or not info["fps"] > 0:
-        raise FormatError(f"{file}: fps: expected a positive number, got {info['fps']!r}")
+    fps = info["fps"]
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < math.inf:
+        raise FormatError(f"{file}: fps: expected a positive number, got {fps!r}")
+    if not isinstance(info["data_path"], str):
+        raise FormatError(f"{file}: data_path: expected a pattern, got {info['data_path']!r}")
     return dict(info)
 
 
@@ -140,7 +142,7 @@ def episodes(path: Path, info: Json) -> Iterator[Rows]:
         yield rows
     if count != info["total_episodes"]:
         raise FormatError(
-            f"{path}: info.json says {info['total_episodes']} episodes, the set has {count}"
+            f"{path}: info.json says {info['total_episodes']!r} episodes, the set has {count}"
         )
 
 
@@ -200,18 +202,18 @@ def _motion(
     names: tuple[str, ...],
     notes: tuple[str, ...],
 ) -> Motion:
-    mine = np.flatnonzero(table.column("episode_index").to_numpy() == rows.episode)
+    mine = np.flatnonzero(numbers(rows.file, table, "episode_index") == rows.episode)
     place = f"episode {rows.episode}"
     if len(mine) != rows.length:
         raise FormatError(
-            f"{rows.file}: {place}: expected {rows.length} rows as meta says, got {len(mine)}"
+            f"{rows.file}: {place}: expected {rows.length!r} rows as meta says, got {len(mine)}"
         )
-    frames = table.column("frame_index").to_numpy()[mine]
+    frames = numbers(rows.file, table, "frame_index")[mine]
     if (frames != np.arange(len(mine))).any():
         at = int(np.flatnonzero(frames != np.arange(len(mine)))[0])
-        raise FormatError(f"{rows.file}: {place}: expected frame {at}, got {frames[at]}")
-    stamps, clock = stamps_of(table.column("timestamp").to_numpy()[mine], info["fps"])
-    values = [_matrix(table.column(name), len(names), rows.file)[mine] for name in columns]
+        raise FormatError(f"{rows.file}: {place}: expected frame {at}, got {frames[at]:g}")
+    stamps, clock = stamps_of(numbers(rows.file, table, "timestamp")[mine], info["fps"])
+    values = [matrix(rows.file, table, name, len(names))[mine] for name in columns]
     return Motion(
         path,
         "lerobot",
@@ -241,35 +243,15 @@ def stamps_of(given: Array, fps: float) -> tuple[Array, str]:
     return np.rint(given.astype(np.float64) * NS).astype(np.int64), "timestamp"
 
 
-def _matrix(column: pa.ChunkedArray, width: int, file: Path) -> Array:
-    """A column of lists of one length as (n, width)."""
-    flat = column.combine_chunks()
-    if isinstance(flat, pa.ChunkedArray):
-        flat = flat.chunk(0) if flat.num_chunks else pa.array([], column.type)
-    if not is_list(flat.type):
-        return np.asarray(flat.to_numpy(zero_copy_only=False), np.float64).reshape(-1, 1)
-    while is_list(flat.type.value_type):  # (n, 1) as lists of lists
-        flat = pa.ListArray.from_arrays(flat.offsets, flat.values.flatten()) if len(flat) else flat
-    values = flat.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
-    if len(values) != len(flat) * width:
-        raise FormatError(
-            f"{file}: expected {width} numbers a row, got {len(values)} in {len(flat)}"
-        )
-    return np.asarray(values.reshape(-1, width))
-
-
 def _table(file: Path, columns: Sequence[str]) -> pa.Table:
     """Some columns of a Parquet file; of rows, the indexes too."""
     indexes = () if "tasks" in columns else ("timestamp", "frame_index", "episode_index")
-    try:
-        return pq.read_table(file, columns=[*columns, *indexes])
-    except FileNotFoundError as error:
+    if not file.is_file():
         raise FormatError(
             f"{file}: missing, though the set's metadata names it; download the whole set first, "
             "nothing is fetched from here"
-        ) from error
-    except (pa.ArrowException, OSError, KeyError) as error:
-        raise FormatError(f"{file}: {str(error).splitlines()[0]}") from error
+        )
+    return read_columns(file, list(dict.fromkeys([*columns, *indexes])))
 
 
 def _names(feature: Any) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from coordlog.errors import ConfigError, FormatError
@@ -50,7 +49,7 @@ def motions(
             chosen = _topic(path, reader, topic)
             decoders: dict[int, Callable[[bytes], Any]] = {}
             fields = (names, position)
-            for schema, channel, message in reader.iter_messages(topics=chosen):
+            for schema, channel, message in _messages(path, reader, chosen):
                 if channel.id not in decoders:
                     decoders[channel.id] = _decoder(path, schema, channel.message_encoding)
                 value = decoders[channel.id](message.data)
@@ -68,9 +67,7 @@ def motions(
                 found = dict(zip(own, numbers, strict=True))
                 rows.append([float(found[name]) for name in known])
                 stamps.append(message.log_time)
-        except (McapError, OSError, EOFError) as error:
-            raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise FormatError(f"{path}: message {len(rows)}: expected JSON: {error}") from error
         except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise FormatError(
@@ -95,14 +92,9 @@ def is_ros2(path: Path) -> bool:
         FormatError: if it cannot be read.
     """
     require_whole(path)
-    try:
-        with path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-    except (McapError, OSError, EOFError) as error:
-        raise FormatError(f"{path}: not an MCAP file that can be read: {error}") from error
-    kinds = (
-        {channel.message_encoding for channel in summary.channels.values()} if summary else set()
-    )
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        kinds = {channel.message_encoding for channel in _channels(path, reader)}
     if kinds and not kinds & {"cdr", *ENCODINGS}:
         raise FormatError(
             f"{path}: expected messages in cdr (ROS 2), {' or '.join(ENCODINGS)}, got "
@@ -111,9 +103,33 @@ def is_ros2(path: Path) -> bool:
     return not kinds & set(ENCODINGS)
 
 
+def _messages(path: Path, reader: Any, topic: str) -> Iterator[Any]:
+    """Schema, channel and message of all messages on a topic."""
+    try:
+        yield from reader.iter_messages(topics=topic)
+    except Exception as error:  # the reader lets errors of its decompressors through
+        raise _unreadable(path, error) from error
+
+
+def _channels(path: Path, reader: Any) -> list[Any]:
+    """The channels of a file, from its summary."""
+    try:
+        summary = reader.get_summary()
+    except Exception as error:  # as above
+        raise _unreadable(path, error) from error
+    about = summary and summary.statistics
+    if about and about.message_count and not summary.channels:
+        raise FormatError(f"{path}: its summary names no channels: `mcap recover` writes it anew")
+    return [] if summary is None else list(summary.channels.values())
+
+
+def _unreadable(path: Path, error: Exception) -> FormatError:
+    said = str(error) or type(error).__name__
+    return FormatError(f"{path}: not an MCAP file that can be read: {said}")
+
+
 def _topic(path: Path, reader: Any, topic: str) -> str:
-    summary = reader.get_summary()
-    channels = summary.channels.values() if summary else ()
+    channels = _channels(path, reader)
     usable = sorted({item.topic for item in channels if item.message_encoding in ENCODINGS})
     if topic and topic not in usable:
         raise ConfigError(
@@ -134,11 +150,16 @@ def _decoder(path: Path, schema: Any, encoding: str) -> Callable[[bytes], Any]:
 
     if schema is None:
         raise FormatError(f"{path}: a protobuf topic without its schema: cannot be decoded")
-    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
     pool = descriptor_pool.DescriptorPool()
-    for file in files.file:
-        pool.Add(file)
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    try:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(file)
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    except (DecodeError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"{path}: expected a protobuf schema of {schema.name}, got one that cannot be used: "
+            f"{error}"
+        ) from error
 
     def decoded(data: bytes) -> Any:
         try:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from coordlog.episode import Array
 from coordlog.errors import FormatError
 
 NAMES = ("name", "names", "joint_names")
@@ -34,6 +35,67 @@ def read_parquet(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         said = str(error).splitlines()[0].replace(f" '{path}'", "")
         raise FormatError(f"{path}: not Parquet that can be read: {said}") from error
+
+
+def read_columns(path: Path, names: Sequence[str]) -> pa.Table:
+    """Some columns of a file.
+
+    Raises:
+        FormatError: if it cannot be read or lacks one.
+    """
+    try:
+        had = pq.read_schema(path).names
+        lost = [name for name in names if name not in had]
+        if lost:
+            raise FormatError(f"{path}: expected a column '{lost[0]}', got {', '.join(had)}")
+        return pq.read_table(path, columns=list(names), page_checksum_verification=True)
+    except (pa.ArrowException, OSError) as error:
+        said = str(error).splitlines()[0].replace(f" '{path}'", "")
+        raise FormatError(f"{path}: not Parquet that can be read: {said}") from error
+
+
+def numbers(path: Path, table: pa.Table, name: str) -> Array:
+    """A column of finite numbers, float64.
+
+    Raises:
+        FormatError: naming the first row that is none.
+    """
+    column = table.column(name)
+    if not is_number(column.type):
+        raise FormatError(f"{path}: column '{name}': expected numbers, got {column.type}")
+    values = np.asarray(column.cast(pa.float64()).to_numpy(), np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        got = "nothing" if column[int(bad[0])].as_py() is None else values[bad[0]]
+        raise FormatError(f"{path}: column '{name}', row {bad[0]}: expected a number, got {got}")
+    return values
+
+
+def matrix(path: Path, table: pa.Table, name: str, width: int) -> Array:
+    """A column of lists of `width` numbers as (n, width), or of numbers as (n, 1); NaN where an
+    entry is missing.
+
+    Raises:
+        FormatError: if it is another column.
+    """
+    column = table.column(name)
+    kind, inner = column.type, column.type
+    while is_list(inner):
+        inner = inner.value_type
+    if not is_number(inner) or (width != 1 and not is_list(kind)):
+        raise FormatError(f"{path}: column '{name}': expected lists of {width} numbers, got {kind}")
+    parts = []
+    for values in column.chunks:
+        while is_list(values.type):
+            values = values.flatten()
+        parts.append(values.cast(pa.float64()).to_numpy(zero_copy_only=False))
+    flat = np.concatenate(parts) if parts else np.zeros(0)
+    if len(flat) != len(column) * width:
+        raise FormatError(
+            f"{path}: column '{name}': expected {width} numbers a row, got {len(flat)} in "
+            f"{len(column)}"
+        )
+    return np.asarray(flat.reshape(-1, width), np.float64)
 
 
 def _twice(names: Sequence[str]) -> str:

@@ -43,7 +43,8 @@ from coordlog.exchange.rosbag2_metadata import (
 )
 from coordlog.exchange.source import Loaded
 from coordlog.record.chunk import definitions, expand
-from coordlog.record.opening import summary_start
+from coordlog.record.files import PATH_OF_BAG
+from coordlog.record.opening import OF_A_BAG, summary_start
 from coordlog.record.records import DATA_END, MAGIC, TAIL_SIZE, pack, unpack_definitions, walk
 
 TRAJECTORY_TOPIC = "/joint_trajectory"
@@ -158,11 +159,11 @@ def _sqlite3(data: bytes, path: Path, moves: bytes, start: int) -> File:
 
 def _trajectory_file(target: Path, moves: bytes, start: int) -> File:
     """The trajectory in a file of its own, before the log's in the bag: the log stays as it is."""
-    name = f"{target.name}_trajectory.mcap"
+    name = target.name + PATH_OF_BAG
     text = definition(TRAJECTORY)
     with (target / name).open("wb") as stream:
         writer = McapWriter(stream)
-        writer.start(profile=PROFILE, library="coordlog")
+        writer.start(profile=PROFILE, library=OF_A_BAG)
         schema = writer.register_schema(TRAJECTORY, "ros2msg", text.encode())
         channel = writer.register_channel(TRAJECTORY_TOPIC, "cdr", schema)
         writer.add_message(channel, start, moves, start)

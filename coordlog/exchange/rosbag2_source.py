@@ -29,6 +29,8 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 KINDS = (JOINT_STATE, DYNAMIC, TRAJECTORY)
 """Message types that hold joint motion; the first of these in a bag is taken."""
+SIMULATED = 10**17
+"""Stamps below this [ns] count from the start of a simulation, not from 1970."""
 
 
 class Row(NamedTuple):
@@ -256,6 +258,8 @@ def chosen_clock(where: str, header: Array, log: Array, wanted: str) -> tuple[Ar
     if wanted == "log" or (not wanted and not header.any()):
         return log, "log time"
     unset = np.flatnonzero(header == 0)
+    if unset.tolist() == [0] and header.max() < SIMULATED:
+        return header, "header stamps"  # a simulation's clock begins there
     if len(unset) and header.any():
         raise FormatError(
             f"{where}: message {unset[0]}: expected a header stamp, got zero, as in {len(unset)} "

@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 import threading
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -54,12 +54,32 @@ _OPENING = np.dtype([("channel", "<u2"), ("size", "<u4")])
 _local = threading.local()
 
 
+class Rows:
+    """Records of one length, side by side: copied all at once, and one by one only when asked."""
+
+    def __init__(self, whole: Array) -> None:
+        """Take (n,) entries of a type that is as long as a record."""
+        self.whole, self.size = whole, whole.dtype.itemsize
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def __iter__(self) -> Iterator[memoryview]:
+        data = self.whole.view(np.uint8).data
+        return (data[at : at + self.size] for at in range(0, len(data), self.size))
+
+    def payloads(self) -> Array:
+        """What follows the heads of the messages, (n, bytes)."""
+        found: Array = self.whole.view(np.uint8).reshape(len(self), self.size)[:, PREFIX_SIZE:]
+        return found
+
+
 class Batch(NamedTuple):
     """Messages of one channel in the order of their log time: complete MCAP records."""
 
     channel: int
     log_time: Array  # (n,) uint64, ns
-    records: Sequence[bytes | memoryview]
+    records: Sequence[bytes | memoryview] | Rows
 
 
 class Head(NamedTuple):
@@ -116,8 +136,7 @@ def encode(
     rows = np.frombuffer(bytearray(template * n), dtype)
     rows["sequence"], rows["log_time"], rows["publish_time"] = sequence, log_time, log_time
     codec.encode(rows["payload"], columns)
-    size, data = dtype.itemsize, rows.view(np.uint8).data
-    return Batch(channel, log_time, [data[at : at + size] for at in range(0, n * size, size)])
+    return Batch(channel, log_time, Rows(rows))
 
 
 def decode(codec: Codec, records: Sequence[bytes | memoryview]) -> tuple[Array, dict[str, Array]]:
@@ -148,11 +167,10 @@ def compose(definitions: bytes, batches: Sequence[Batch]) -> Chunk:
     """
     times = np.concatenate([batch.log_time for batch in batches])
     order = np.argsort(times, kind="stable")
-    records = [record for batch in batches for record in batch.records]
-    sizes = np.fromiter(map(len, records), np.int64, len(records))
-    offsets = np.empty(len(records), np.int64)
+    sizes = np.concatenate([_sizes(batch.records) for batch in batches])
+    offsets = np.empty(len(sizes), np.int64)
     offsets[order] = len(definitions) + np.cumsum(sizes[order]) - sizes[order]
-    data = b"".join([definitions, *(records[i] for i in order.tolist())])
+    data = _placed(definitions, batches, offsets, len(definitions) + int(sizes.sum()))
     packed = _compressor().compress(data)
     start, end = int(times[order[0]]), int(times[order[-1]])
     head = (
@@ -172,6 +190,30 @@ def compose(definitions: bytes, batches: Sequence[Batch]) -> Chunk:
         len(data),
         {b.channel: len(b.records) for b in batches},
     )
+
+
+def _sizes(records: Sequence[bytes | memoryview] | Rows) -> Array:
+    if isinstance(records, Rows):
+        return np.full(len(records), records.size)
+    return np.fromiter(map(len, records), np.int64, len(records))
+
+
+def _placed(definitions: bytes, batches: Sequence[Batch], offsets: Array, size: int) -> memoryview:
+    """The content of a chunk: definitions, and every record where it belongs."""
+    out = np.empty(size, np.uint8)
+    data, first = out.data, 0
+    data[: len(definitions)] = definitions
+    for _, _, records in batches:
+        where = offsets[first : first + len(records)]
+        first += len(records)
+        if isinstance(records, Rows):  # a place at each byte, of which those are taken
+            kind = f"V{records.size}"
+            every = np.ndarray((size - records.size + 1,), kind, data, strides=(1,))
+            every[where] = records.whole.view(kind)
+            continue
+        for at, record in zip(where.tolist(), records, strict=True):
+            data[at : at + len(record)] = record
+    return data
 
 
 def _message_index(batches: Sequence[Batch], offsets: Array) -> tuple[bytes, dict[int, int]]:

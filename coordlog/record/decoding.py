@@ -10,7 +10,7 @@ import numpy as np
 
 from coordlog.episode import Array, Episode, Header, Json, Path, Result
 from coordlog.errors import FormatError, TruncatedError
-from coordlog.record.chunk import PREFIX_SIZE
+from coordlog.record.chunk import PREFIX_SIZE, Rows
 from coordlog.record.contents import Contents
 from coordlog.record.messages import (
     Stream,
@@ -132,10 +132,12 @@ def require_messages(found: Contents, promised: Json, *, rows: bool = False) -> 
     return absent
 
 
-def payload_crc(records: Sequence[bytes | memoryview], crc: int = 0) -> int:
+def payload_crc(records: Sequence[bytes | memoryview] | Rows, crc: int = 0) -> int:
     """CRC-32 of the payloads of messages, one after the other: the same in whatever file they
     stand.
     """
+    if isinstance(records, Rows):
+        return zlib.crc32(np.ascontiguousarray(records.payloads()).data, crc)
     for record in records:
         crc = zlib.crc32(record[PREFIX_SIZE:], crc)
     return crc

@@ -28,6 +28,8 @@ SUFFIX = ".mcap"
 
 File = str | os.PathLike[str]
 
+PATH_OF_BAG = "_trajectory.mcap"
+"""How the file ends that holds the path of a smoothed episode, beside the episode in its bag."""
 _APPLE = "._"  # how macOS names its own file beside one
 _EFFECTIVE = os.access in os.supports_effective_ids
 _SHOWN = 3  # reasons that an error repeats
@@ -250,6 +252,8 @@ class _Walk:
             self.skip(path, "cannot read: Permission denied")
         elif path.name.startswith(_APPLE) and recognise(_head(path)).startswith("an AppleDouble"):
             self.skip(path, recognise(_head(path)))
+        elif _is_path_of_bag(path):
+            pass  # a part of its bag, as metadata.yaml is
         elif not path.name.endswith(PART):
             self._take(path, status)
         elif recovered_before(path) is None:
@@ -278,6 +282,13 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path]]:
             elif _of_interest(entry.name) or entry.is_dir(follow_symlinks=False):
                 own.append(folder / entry.name)
     return own[::-1], linked
+
+
+def _is_path_of_bag(path: Path) -> bool:
+    """Whether a file is what `coordlog export --to rosbag2` puts beside a smoothed episode."""
+    bag = path.parent
+    others = (bag / f"{bag.name}{SUFFIX}", bag / "metadata.yaml")
+    return path.name == bag.name + PATH_OF_BAG and all(other.is_file() for other in others)
 
 
 def _of_interest(name: str) -> bool:

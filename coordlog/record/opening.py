@@ -36,6 +36,8 @@ File = str | os.PathLike[str]
 
 OURS = "coordlog/"
 """How the library that coordlog writes into a file's header starts; a version follows."""
+OF_A_BAG = "coordlog trajectory"
+"""How the library reads in the header of a path beside its episode in a ROS 2 bag."""
 PREFIX = "coordlog."
 _MARK = re.compile(rb"coordlog\.(episode|env|policy|lineage|result)")
 """What both ends of an episode hold, whatever has befallen some of their bytes."""
@@ -190,6 +192,11 @@ def require_coordlog(data: bytes | memoryview, *, whole: bool = True) -> None:
         name.startswith(PREFIX) for name in _metadata_names(data)
     ):
         return
+    if writer_of(data) == OF_A_BAG:
+        raise FormatError(
+            "the path of a smoothed episode as a JointTrajectory, as it lies beside the episode in "
+            "a ROS 2 bag: not an episode itself"
+        )
     if not whole and span.opcode == Opcode.HEADER and len(data) >= HEAD:
         return  # an episode's records may come further on
     said = printable(

@@ -56,7 +56,7 @@ def exporting(chosen: list[Entry], work: Path) -> None:
             print(f"export {name}: {least / steps * STEPS * 1e3:.1f} ms", flush=True)
 
 
-def importing(work: Path, *, count: int = 10_000, joints: int = 7) -> None:
+def importing(work: Path, *, count: int = 20_000, joints: int = 7) -> None:
     """A line for each storage of a bag."""
     types = get_typestore(Stores.LATEST)
     rng = np.random.default_rng(0)

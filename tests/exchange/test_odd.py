@@ -1,12 +1,15 @@
 """Odd sources by kind: read as a person would read them, or refused in one sentence."""
 
 import json
+from contextlib import suppress
 
 import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -311,3 +314,107 @@ def test_names_of_a_lerobot_feature_are_read_in_every_shape(names):
     for shape in ([2], [2, 1], [1, 2]):
         assert _names({"names": names, "shape": shape}) == ("a", "b")
     assert _names({"names": ["a"], "shape": [2]}) == ()
+
+
+def lerobot(tmp_path, **changed):
+    """A LeRobot v2.1 set of one episode, some of its columns changed."""
+    states = pa.FixedSizeListArray.from_arrays(Q.ravel(), 2)
+    rows = {"observation.state": states, "timestamp": TIME, "frame_index": np.arange(N)}
+    rows |= {"episode_index": np.zeros(N, int), **changed}
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data").mkdir()
+    info = {
+        "codebase_version": "v2.1",
+        "fps": 50,
+        "features": {
+            "observation.state": {"dtype": "float32", "shape": [2], "names": ["a", "b"]},
+            "timestamp": {"dtype": "float32", "shape": [1]},
+        },
+        "total_episodes": 1,
+        "data_path": "data/{episode_index}.parquet",
+    }
+    text = "\ufeff" + json.dumps(info)  # as some editors save it
+    (tmp_path / "meta" / "info.json").write_text(text, "utf-8")
+    (tmp_path / "meta" / "episodes.jsonl").write_text(f'{{"episode_index": 0, "length": {N}}}')
+    kept = {name: column for name, column in rows.items() if column is not None}
+    pq.write_table(pa.table(kept), tmp_path / "data" / "0.parquet")
+    return tmp_path
+
+
+def test_a_small_lerobot_set_is_read(tmp_path):
+    (motion,) = read(lerobot(tmp_path))
+    np.testing.assert_array_equal(motion.position, Q)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"timestamp": np.where(TIME > 0.1, np.nan, TIME)}, "'timestamp', row 6: .* got nan"),
+        ({"timestamp": [None] * N}, "'timestamp': expected numbers, got null"),
+        ({"timestamp": ["now"] * N}, "'timestamp': expected numbers, got string"),
+        ({"frame_index": None}, "expected a column 'frame_index', got observation.state"),
+        ({"observation.state": TIME}, "expected lists of 2 numbers, got double"),
+        ({"observation.state": [["x", "y"]] * N}, "expected lists of 2 numbers, got list"),
+        ({"observation.state": [[0.0]] * N}, "expected 2 numbers a row, got 8 in 8"),
+    ],
+)
+def test_columns_of_a_lerobot_set_that_are_none_are_named(tmp_path, changed, said):
+    refused(lerobot(tmp_path, **changed), said)
+
+
+def mcap(path, data, **options):
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start(profile="", library="theirs")
+        schema = writer.register_schema("S", "jsonschema", b"{}")
+        channel = writer.register_channel("/j", "json", schema)
+        for i, message in enumerate(data):
+            writer.add_message(channel, START + i * 10**7, message, START)
+        writer.finish()
+    return path
+
+
+SAID = [json.dumps({"name": ["a", "b"], "position": row}).encode() for row in Q.tolist()]
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_mcap_of_any_compression_is_read_if_its_summary_names_channels(tmp_path, compression):
+    (motion,) = read(mcap(tmp_path / "x.mcap", SAID, compression=compression))
+    np.testing.assert_array_equal(motion.position, Q)
+    without = mcap(tmp_path / "y.mcap", SAID, compression=compression, repeat_channels=False)
+    refused(without, "its summary names no channels")
+
+
+def test_mcap_that_is_damaged_anywhere_is_refused_or_gives_all_its_samples(tmp_path):
+    path = mcap(tmp_path / "x.mcap", SAID)
+    whole = path.read_bytes()
+    for at in range(20, len(whole) - 60, 29):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :])
+        with suppress(FormatError, ConfigError):
+            (motion,) = read(path)
+            np.testing.assert_array_equal(motion.position, Q)
+
+
+def test_json_that_is_too_deep_is_refused(tmp_path):
+    refused(mcap(tmp_path / "x.mcap", [b"[" * 100_000]), "message 0: expected JSON")
+
+
+def test_a_simulations_clock_may_begin_at_zero(tmp_path):
+    def bag(path, start, zero):
+        with Writer(path, version=9) as writer:
+            channel = writer.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
+            for i, row in enumerate(Q):
+                ns = 0 if i == zero else start + i * 10**7
+                writer.write(channel, START + i, joint_state(ns, ["a", "b"], row))
+        return path
+
+    (motion,) = read(bag(tmp_path / "simulated", 0, 0))
+    assert motion.stamps.tolist() == [i * 10**7 for i in range(N)]
+    refused(bag(tmp_path / "real", START, 0), "message 0: expected a header stamp, got zero")
+    refused(bag(tmp_path / "later", 0, 3), "message 0: expected a header stamp, got zero")
+
+
+def test_a_minari_set_whose_metadata_is_broken_is_refused(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "metadata.json").write_text("{")
+    refused(tmp_path, "metadata.json: expected JSON", rate=20.0)

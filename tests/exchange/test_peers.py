@@ -12,8 +12,10 @@ from robovet.dataset import LeRobotDataset
 from rosbags.highlevel import AnyReader
 
 import coordlog
+from coordlog.errors import FormatError
 from coordlog.exchange.blocks import Options, export
 from coordlog.exchange.source import entries
+from coordlog.record.files import find_files
 from coordlog.record.reader import read_episode
 
 
@@ -163,6 +165,19 @@ def test_a_bag_of_a_log_is_still_an_episode(sets, episodes):
     again = read_episode(sets("rosbag2") / "3" / "3.mcap")
     assert again.header == episodes[3].header
     same(again.qpos, episodes[3].qpos)
+
+
+def test_a_folder_of_bags_holds_the_episodes_and_a_path_says_what_it_is(sets, tmp_path):
+    found = find_files(sets("rosbag2"))
+    assert [path.stem for path in found.paths] == [str(i) for i in range(7)]
+    assert not found.left_out()
+    moves = sets("rosbag2") / "6" / "6_trajectory.mcap"
+    with pytest.raises(FormatError, match="path of a smoothed episode as a JointTrajectory"):
+        read_episode(moves)
+    alone = tmp_path / "6" / moves.name  # no bag around it: then it is looked at
+    alone.parent.mkdir()
+    alone.write_bytes(moves.read_bytes())
+    assert find_files(tmp_path).paths == (alone,)
 
 
 def test_pandas_reads_parquet_and_csv_to_the_last_bit(sets, episodes):
