@@ -109,12 +109,7 @@ def export(
 def _said(done: Done, out: Path, to: str) -> None:
     verb = "was there already" if done.unchanged else "written"
     resumed = f", {done.resumed} of {done.blocks} blocks resumed" if done.resumed else ""
-    terminal.out.print(
-        f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
+    terminal.say(f"{out}: {done.episodes} episodes, {done.steps:,} steps as {to}, {verb}{resumed}")
 
 
 def _like(
