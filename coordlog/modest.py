@@ -15,6 +15,8 @@ MOST_ELEMENTS = 20_000
 """Elements of a model, those that <replicate> and the like make included."""
 MOST_DEPTH = 200
 """Elements within one another."""
+MOST_ATTRIBUTES = 200
+"""Attributes of one element; MuJoCo's parser compares each with all before it."""
 MOST_CELLS = 1 << 24
 """Cells of a height field, pixels of a texture."""
 MOST_COUNT = 1_000_000
@@ -75,7 +77,10 @@ def is_plain(root: ET.Element) -> bool:
 
 
 def _judge(element: ET.Element) -> None:
-    """Look at the numbers of one element."""
+    """Look at the attributes of one element and the numbers in them."""
+    if len(element.attrib) > MOST_ATTRIBUTES:
+        got = f"{len(element.attrib):,} attributes"
+        raise _too_much(f"<{element.tag}>", got, MOST_ATTRIBUTES)
     cells = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}.get(element.tag)
     if cells is not None:
         size = prod(max(1.0, *_numbers(element.get(name, "1")), 1.0) for name in cells)

@@ -8,11 +8,12 @@ import pytest
 
 from coordlog.errors import FormatError
 from coordlog.mjcf import compose
-from coordlog.modest import MOST_DEPTH, MOST_ELEMENTS, is_plain, require_modest
+from coordlog.modest import MOST_ATTRIBUTES, MOST_DEPTH, MOST_ELEMENTS, is_plain, require_modest
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES
 
 GEOM = '<geom size="1"/>'
+MANY = " ".join(f"a{i}='1'" for i in range(MOST_ATTRIBUTES + 1))
 
 
 def root(inside: str) -> ET.Element:
@@ -43,6 +44,7 @@ def test_our_own_models_are_modest_and_plain(name: str) -> None:
         ('<size memory="900G"/>', "memory"),
         ('<size nuserdata="1000000000"/>', "nuserdata"),
         ('<size nkey="999999"/>', "nkey"),
+        (f"<geom {MANY}/>", "attributes"),
         ('<custom><numeric name="a" size="1000000000"/></custom>', "size"),
     ],
 )
