@@ -55,6 +55,8 @@ def check(source: File | Recording, *, level: str = "content") -> list[Finding]:
     name = recording.source
     try:
         data = recording.data
+        if level == "file" and recording.untouched:
+            return []
     except FormatError as error:
         return [Finding(name, "file", None, "file", "a finished coordlog episode", str(error))]
     found = [Finding(name, "file", *problem) for problem in _file(recording)]
