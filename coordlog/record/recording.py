@@ -36,6 +36,7 @@ from coordlog.record.opening import (
     require_coordlog,
     rewritten_by,
     summary_start,
+    writer_of,
 )
 from coordlog.record.reader import attachments, metadata
 from coordlog.record.records import (
@@ -48,6 +49,7 @@ from coordlog.record.records import (
     unpack_metadata,
     walk,
 )
+from coordlog.record.writer import LIBRARY
 
 if TYPE_CHECKING:
     import mujoco
@@ -110,7 +112,7 @@ class Recording:
     @cached_property
     def untouched(self) -> bool:
         """Whether its commit marker vouches for every byte of the file, and the metadata can be
-        read; False of a file that an earlier release wrote, whose marker says nothing of bytes.
+        read; False of files whose marker says nothing of bytes: those of earlier releases.
         """
         try:
             return _untouched(memoryview(self.data))
@@ -126,10 +128,12 @@ class Recording:
     @cached_property
     def observed(self) -> bool:
         """Whether its file says that it came from outside, before anything vouches for that."""
-        records = (span for span in walk(self.data) if span.opcode == Opcode.METADATA)
-        named = (unpack_metadata(self.data[span.start : span.end]) for span in records)
-        said = next((said for name, said in named if name == EPISODE), {})
-        return said.get("kind") == KINDS[1]
+        for span in walk(self.data):
+            if span.opcode == Opcode.METADATA:
+                name, said = unpack_metadata(self.data[span.start : span.end])
+                if name == EPISODE:
+                    return said.get("kind") == KINDS[1]
+        return False
 
     @cached_property
     def header(self) -> Header:
@@ -257,13 +261,9 @@ def _untouched(view: memoryview) -> bool:
         or marker.get("seal") != digest(said)
     ):
         return False
-    records = {}
-    for span in walk(view, stop=at):
-        if span.opcode == Opcode.METADATA:
-            name, records[name] = unpack_metadata(bytes(view[span.start : span.end]))
-        elif records:
-            break
-    require_header(records)
-    require_readable(records)
-    decode_result(marker)
+    if writer_of(view) != LIBRARY:  # this release holds what it writes to the same tables
+        records = metadata(view)
+        require_header(records)
+        require_readable(records)
+        decode_result(marker)
     return True

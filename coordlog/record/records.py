@@ -25,6 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, summary crc
 DATA_END = struct.Struct("<BQI")  # opcode, length, crc of the data section
 TAIL_SIZE = FOOTER.size + len(MAGIC)
+_size = struct.Struct("<I").unpack_from
 
 
 class Span(NamedTuple):
@@ -89,12 +90,14 @@ def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     texts, at, stop = [], at + 4, len(content)
     if at + size != stop:
         raise FormatError(f"metadata {name!r}: expected {stop - at} bytes of values, got {size}")
-    while at < stop or len(texts) % 2:
+    while at < stop or (at == stop and len(texts) % 2):
         start = at + 4
-        at = start + int.from_bytes(content[at:start], "little")
-        if at > stop or start > stop:
+        if start > stop:
             raise FormatError(f"record of {stop} bytes ends within a field")
+        at = start + _size(content, at)[0]
         texts.append(content[start:at])
+    if at != stop:
+        raise FormatError(f"record of {stop} bytes ends within a field")
     try:
         values = [text.decode() for text in texts]
     except UnicodeDecodeError as error:
