@@ -113,7 +113,7 @@ def harm_bytes(
     *,
     count: int,
     seed: int,
-    check: bool,
+    level: str = "",
 ) -> Count:
     """Harm the bytes of one episode again and again, and read or check it.
 
@@ -123,7 +123,7 @@ def harm_bytes(
         how: The harm.
         count: How many to draw.
         seed: Of the draws.
-        check: Ask `check` about each; otherwise open it.
+        level: Ask `check` about each, at this level; otherwise open it.
     """
     rng, found, whole = np.random.default_rng(seed), Count(), source.read_bytes()
     wanted, path = read_episode(source), folder / "harmed.mcap"
@@ -132,7 +132,7 @@ def harm_bytes(
         path.write_bytes(how(whole, rng))
         found.tried += 1
         try:
-            if check and check_files([path], level="content").findings:
+            if level and check_files([path], level=level).findings:
                 found.noticed += 1
             elif not same(read_episode(path), wanted) or read_attachments(path) != attached:
                 found.silent += 1
@@ -388,9 +388,9 @@ def main() -> None:
         source = recorded(folder)
         rows = {}
         for how, what in ((flipped, "one bit flipped"), (cut, "cut off"), (smeared, "overwritten")):
-            for check in (False, True):
-                where = "`check --level content`" if check else "`open`"
-                harmed = harm_bytes(source, folder, how, count=count, seed=1, check=check)
+            for level in ("", "file", "content"):
+                where = f"`check --level {level}`" if level else "`open`"
+                harmed = harm_bytes(source, folder, how, count=count, seed=1, level=level)
                 rows[f"episode file, {what}, {where}"] = harmed
         rows["metadata of an episode, odd, every command"] = harm_metadata(
             source, folder, count=count // 5, seed=2, commands=EVERY
