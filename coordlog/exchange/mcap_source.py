@@ -106,7 +106,7 @@ def is_ros2(path: Path) -> bool:
 def _messages(path: Path, reader: Any, topic: str) -> Iterator[Any]:
     """Schema, channel and message of all messages on a topic."""
     try:
-        yield from reader.iter_messages(topics=topic)
+        yield from reader.iter_messages(topics=topic, log_time_order=False)
     except Exception as error:  # the reader lets errors of its decompressors through
         raise _unreadable(path, error) from error
 
