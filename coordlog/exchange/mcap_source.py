@@ -65,6 +65,8 @@ def motions(
                         f"{', '.join(own)}"
                     )
                 found = dict(zip(own, numbers, strict=True))
+                if any(isinstance(each, bool) for each in numbers):
+                    raise TypeError("got true or false")
                 rows.append([float(found[name]) for name in known])
                 stamps.append(message.log_time)
         except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -77,6 +77,8 @@ def kind_of(path: Path) -> str:
             )
         if ".bag" in inside:
             raise FormatError(f"{path}: ROS 1 bags: `rosbags-convert` makes ROS 2 bags of them")
+        if inside & {".parquet", ".csv", ".tsv"}:
+            raise FormatError(f"{path}: a folder of tables: give its files themselves")
         raise FormatError(
             f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
             "or data/metadata.json (Minari), got none of them"

@@ -448,3 +448,19 @@ def test_bars_part_columns_and_spaces_do_not(tmp_path):
     refused(csv(tmp_path, {"time": TIME, **JOINTS}, sep=" "), "parted by a comma")
     comma = csv(tmp_path, {"time": TIME, **JOINTS}, spell=lambda x: f"{x:.3f}".replace(".", ","))
     refused(comma, "line 2: expected 3 columns, got 6.*if these are decimal commas")
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [("null", "expected a table, got None"), ("[1]", r"expected a table, got \[1")],
+)
+def test_metadata_that_is_no_table_is_refused(tmp_path, info, said):
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/info.json").write_text(info)
+    refused(tmp_path, said)
+
+
+def test_a_pointer_of_git_lfs_and_a_folder_of_tables_are_said(tmp_path):
+    (tmp_path / "x.parquet").write_text("version https://git-lfs.github.com/spec/v1\nsize 1\n")
+    refused(tmp_path / "x.parquet", "a pointer of Git LFS")
+    refused(tmp_path, "a folder of tables: give its files")
