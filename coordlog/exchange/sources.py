@@ -10,8 +10,6 @@ from pathlib import Path
 from coordlog.errors import ConfigError, FormatError, StorageError
 from coordlog.exchange.motion import Motion
 
-KINDS = ("rosbag2", "mcap", "lerobot", "robomimic", "minari", "parquet", "csv")
-
 
 @dataclass(frozen=True)
 class Reading:
@@ -52,7 +50,7 @@ def motions(path: Path, reading: Reading) -> Iterator[Motion]:
 
 
 def kind_of(path: Path) -> str:
-    """One of `KINDS`.
+    """What kind of source lies there.
 
     Raises:
         StorageError: if the path does not exist.
