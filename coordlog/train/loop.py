@@ -35,7 +35,6 @@ from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
 from coordlog.train.networks import Actor
-from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
 from coordlog.train.settings import Settings, refuse_changes
 from coordlog.train.stream import Stream
@@ -98,10 +97,7 @@ class Trainer:
         self.replay = MixedReplay(
             settings.replay, task, gamma=gamma, logs=store, live=self.buffer, device=device
         )
-        k = len(task.arms)
-        bounds = value_bounds(
-            task.reward, k=k, gamma=gamma, farthest=task.farthest, ended=task.ended
-        )
+        bounds = task.bounds(gamma)
         self.learner = Learner(
             task.n_x,
             gradient_mask(task.arms, task.n_u),
