@@ -11,8 +11,6 @@ from coordlog.errors import ConfigError, FormatError, StorageError
 from coordlog.exchange.motion import Motion
 
 PACKED = (".zstd", ".zst", ".gz", ".xz", ".bz2", ".zip", ".tar", ".tgz", ".7z")
-KINDS = ("rosbag2", "mcap", "lerobot", "robomimic", "minari", "parquet", "csv")
-
 
 @dataclass(frozen=True)
 class Reading:
@@ -53,7 +51,7 @@ def motions(path: Path, reading: Reading) -> Iterator[Motion]:
 
 
 def kind_of(path: Path) -> str:
-    """One of `KINDS`.
+    """What kind of source lies there.
 
     Raises:
         StorageError: if the path does not exist.
