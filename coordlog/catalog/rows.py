@@ -55,6 +55,8 @@ COLUMNS = pa.schema(
 obstacles, `jerk` that of a smoothed path; times in ns since the epoch, durations in s."""
 KEPT = pa.schema([*COLUMNS, ("error", pa.string()), ("gone", pa.bool_())])
 """What a catalogue keeps: also what is wrong with a file, and that it is gone."""
+EMPTY = pa.Table.from_batches([], KEPT)
+"""No rows; made so, since `empty_table` loads pandas where there is one, for half a second."""
 
 
 class Job(NamedTuple):
