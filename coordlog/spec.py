@@ -171,6 +171,8 @@ STEP = Message(
 
 LEARNT = (_BEFORE[-1], _ACTION, *REACH, _TERMINATED)
 """What is learnt from: the policy state, the action, and what the task says that it led to."""
+REWARDED = (_BEFORE[-1], _ACTION, _REWARD, _TERMINATED)
+"""The same of an environment that is not ours: the rewards are those that it gave."""
 
 V1_STEP = STEP._replace(
     fields=(STEP_INDEX, *_BEFORE, _ACTION, _REWARD, *REACH, _TERMINATED, _TRUNCATED)

@@ -26,7 +26,7 @@ from typer.testing import CliRunner
 
 from coordlog import cli
 from coordlog.episode import Episode, Header
-from coordlog.errors import CoordlogError
+from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.record import writer
 from coordlog.record.metadata import encode_header
 from coordlog.record.reader import read_attachments, read_episode
@@ -63,6 +63,8 @@ def command(*words: object) -> tuple[int, str, BaseException | None]:
     error = done.exception
     if isinstance(error, CoordlogError):
         return error.exit_code, f"{done.output}{error}", None
+    if isinstance(error, KeyboardInterrupt) or done.exit_code == EXIT_INTERRUPTED:
+        raise KeyboardInterrupt  # a command takes it for its own end
     if error is None or isinstance(error, SystemExit):
         return done.exit_code, done.output, None
     return 1, done.output, error

@@ -62,7 +62,8 @@ def record(
     Args:
         what: A scene: its name, FILE.py:NAME, ROBOT.toml, or a `Scene`; "" for the policy's. Or an
             environment of another program on MuJoCo, as Gymnasium's are; the policy is then
-            "random", a function from observation to action, or an object with `predict` or `act`.
+            "random", a run folder or another name as on the command line, a function from
+            observation to action, or an object with `predict` or `act`.
         policy: Name as on the command line, or a `Policy` (`coordlog.contracts`).
         episodes: How many; by default 10.
         out: Folder, pack or s3://…; files already in it stay as they are.
@@ -88,7 +89,7 @@ def record(
         given = {"scene": what, "policy": policy, "episodes": episodes, "seed": seed, **options}
         plan = _plan(RecordPlan, given)
         return record_scene(plan, Path(out), Monitor() if monitor is None else monitor).files
-    from coordlog.policies.foreign import as_act
+    from coordlog.policies.foreign import as_act, load
     from coordlog.record.foreign import record_env
 
     for name in options:
@@ -97,7 +98,11 @@ def record(
     if policy == "random" and hasattr(what, "action_space"):
         what.action_space.seed(seed)
         policy = lambda observation: what.action_space.sample()  # noqa: E731
-    act, count = as_act(policy, "policy"), episodes or EPISODES
+    if isinstance(policy, str | Path):
+        act, options["about"] = load(str(policy))
+    else:
+        act = as_act(policy, "policy")
+    count = episodes or EPISODES
     return sorted(record_env(what, act, episodes=count, out=Path(out), seed=seed, **options).files)
 
 

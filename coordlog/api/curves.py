@@ -31,15 +31,23 @@ def draw_curves(folders: Sequence[Path], out: Path, *, against: str, force: bool
     x = _against(histories, against)
     scenes: dict[str, dict[str, list[Curve]]] = {}
     for scene in dict.fromkeys(history.said["scene"] for history in histories):
-        groups = grouped([history for history in histories if history.said["scene"] == scene])
+        of_scene = [history for history in histories if history.said["scene"] == scene]
+        groups, panels = grouped(of_scene), _panels(of_scene)
         curves = {
-            label: {name: _curves(label, group, name, against=x) for name in PANELS}
+            label: {name: _curves(label, group, name, against=x) for name in panels}
             for label, group in groups.items()
         }
         scenes[scene] = {
-            name: [curve for made in curves.values() for curve in made[name]] for name in PANELS
+            name: [curve for made in curves.values() for curve in made[name]] for name in panels
         }
     save(curves_figure(scenes, against=x), out, force=force)
+
+
+def _panels(histories: Sequence[History]) -> list[str]:
+    """The figures that there are of some runs; those of our scenes, if there are none yet."""
+    told = {name for history in histories for row in history.rows for name in row}
+    ours = [name for name in PANELS if name != "return"]
+    return ["return"] if "return" in told else ours
 
 
 def _against(histories: Sequence[History], wanted: str) -> Against:

@@ -55,6 +55,8 @@ class Follower:
                 for name in ("clean", "success", "falls", "home_clean")
                 if name in row
             )
+            if "return" in row:
+                rates = f"return {float(row['return'] or 0):.2f}"
             touched = f"  touches {row['touched']} first" if row.get("touched") else ""
             self._note["held-out"] = f"{rates.replace('home_clean', 'clean from home')}{touched}"
         elif row["kind"] == "training":
@@ -75,6 +77,7 @@ def curves(row: Row) -> dict[str, float]:
         panels = {
             "held-out": ("success", "clean", "collisions", "falls", "home_clean"),
             "score": ("score",),
+            "return": tuple(name for name in row if name.startswith("return")),
         }
     else:
         panels = {

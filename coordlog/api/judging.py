@@ -107,13 +107,7 @@ class Judge:
             " and ".join(model.geom(geom).name for geom in touches[0][0]) if touches else ""
         )
         if self._window is not None:
-            from coordlog.view.show import Show
-
-            paths = sorted(folder.glob(f"*{SUFFIX}"))
-            self._window.evaluation(
-                updates,
-                [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths],
-            )
+            show(self._window, updates, folder)
         return found
 
     def _judge(self, prefix: str, policy: Policy, updates: int, folder: Path) -> Scoreboard:
@@ -126,6 +120,16 @@ class Judge:
             return judged(
                 recorder, policy, episodes=self._episodes[prefix], k=env.layout.k, seed=SEED
             )
+
+
+def show(window: Live, updates: int, folder: Path) -> None:
+    """Show the recorded episodes of an evaluation."""
+    from coordlog.view.show import Show
+
+    paths = sorted(folder.glob(f"*{SUFFIX}"))
+    window.evaluation(
+        updates, [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths]
+    )
 
 
 def suffix(prefix: str) -> str:

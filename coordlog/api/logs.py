@@ -12,6 +12,7 @@ from coordlog.catalog.asking import chosen
 from coordlog.errors import FormatError, SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
+from coordlog.sim.foreign import TASK
 
 if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
@@ -30,9 +31,10 @@ def load_logs(
     jobs: int | str = 0,
     verify: bool = False,
     monitor: Monitor | None = None,
+    environments: bool = False,
 ) -> Logs:
     """The episodes under some folders that satisfy a condition, as columns; all of one scene and
-    one state layout.
+    one state layout. Those of environments that are not ours only if asked for.
 
     Raises:
         FormatError: if a file is broken and they are not to be skipped.
@@ -69,7 +71,8 @@ def load_logs(
             f"logs of several scenes ({', '.join(scenes)}): learn from one, "
             f"for example --where \"scene = '{scenes[0]}'\""
         )
-    _require_task(logs)
+    if not (environments and logs.env(0).get("task", {}).get("name") == TASK):
+        _require_task(logs)
     _require_alike(logs)
     return logs
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from coordlog.api import environments
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
@@ -34,12 +36,13 @@ from coordlog.train.events import EventFiles, require_tensorboard
 from coordlog.train.loop import Trainer
 from coordlog.train.settings import refuse_changes, surroundings
 from coordlog.train.stream import Stream
-from coordlog.train.task import Hooks, LiveSource, Outcome
+from coordlog.train.task import Hooks, LiveSource, Outcome, Task
 
 if TYPE_CHECKING:
     from coordlog.episode import Json
     from coordlog.record.cache import Logs
     from coordlog.sim.env import BatchEnv
+    from coordlog.view.live import Live
 
 DOUBTED = 32
 """Problems whose palms' distance from their goals is what standing still is taken to cost."""
@@ -58,12 +61,14 @@ class Run(NamedTuple):
     """A run whose parts are known to fit; nothing of it is written yet."""
 
     plan: TrainPlan
-    scene: Scene
+    scene: Scene | None
+    """None for an environment that is not ours."""
+    task: Task
+    data: Columns | Stream | None
+    """What is learnt from, besides live steps."""
     folder: Path
     constants: Constants
     logs: Logs | None
-    stream: Stream | None
-    """The same logs, if they pass through a window."""
     like: Json
     """The `coordlog.env` record whose constants hold where the tables say nothing."""
     judged: dict[str, BatchEnv]
@@ -93,16 +98,12 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
         loop = settings.loop
         by_steps = loop.updates == 0
         bar = monitor.progress(
-            f"training {run.scene.name}", loop.steps if by_steps else loop.updates
+            f"training {run.about['scene']}", loop.steps if by_steps else loop.updates
         )
         follower = Follower(
             stack.enter_context(bar), by_steps=by_steps, window=window, events=events
         )
-        count = plan.eval_episodes
-        elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count
-        judge = Judge(
-            run.judged, folder, run=run.name, episodes=count, elsewhere=elsewhere, window=window
-        )
+        judge, rank = stack.enter_context(_judge(run, monitor, window))
         source: LiveSource | None = None
         if plan.collectors:
             crew = Crew(partial(collector, practice_of(run)), plan.collectors, jobs=plan.jobs)
@@ -113,7 +114,7 @@ def train(plan: TrainPlan, monitor: Monitor) -> Trained:
             recorder = record_training(practice.env(plan.envs), folder, run=run.name)
             source = practice.simulations(stack.enter_context(recorder))
         hooks = Hooks(
-            evaluate=judge, rank=RANK, on_row=follower, should_stop=lambda: monitor.stopped
+            evaluate=judge, rank=rank, on_row=follower, should_stop=lambda: monitor.stopped
         )
         trainer = trainer_of(run, source, hooks)
         if not plan.resume:
@@ -129,7 +130,15 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     if plan.out is not None:
         require_folder(plan.out)
     wanted = constants(plan)
+    if plan.view:
+        from coordlog.view.viewer import require_display
+
+        require_display()
+    if plan.tensorboard:
+        require_tensorboard()
     logs = _logs(plan, monitor) if plan.source else None
+    if logs and environments.of_environment(logs.env(0)):
+        return _of_environment(plan, logs, monitor)
     if isinstance(plan.scene, Scene):
         scene = plan.scene
     elif plan.scene:
@@ -139,25 +148,19 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     like = true_scene(logs.env(0)) if logs else surroundings(wanted.preset)
     envs = min(ENVS, plan.eval_episodes)
     judged = evaluation_envs(scene, wanted.tables, like, start=plan.start, envs=envs)
-    about = _about(plan, scene, judged[""], wanted, logs)
+    env = judged[""]
+    about = _about(plan, scene.name, env.describe(), wanted, logs)
     stream = None
     if logs and plan.window:
         seed = wanted.settings.loop.seed
         stream = stream_of(logs, memory=plan.window, jobs=plan.readers, seed=seed)
-        layout = judged[""].layout
-        about["window"] = stream.about((layout.n_x, layout.n_u, layout.k))
+        about["window"] = stream.about((env.layout.n_x, env.layout.n_u, env.layout.k))
     if plan.collectors:
         about["collectors"] = plan.collectors
     if logs:
         require_alike(logs.env(0), about["env"], where=f"scene '{scene.name}'")
     if plan.mode != "logs" and "reward" in wanted.tables:
-        _tell_doubts(judged[""], wanted.settings.learner.gamma, monitor)
-    if plan.view:
-        from coordlog.view.viewer import require_display
-
-        require_display()
-    if plan.tensorboard:
-        require_tensorboard()
+        _tell_doubts(env, wanted.settings.learner.gamma, monitor)
     folder = Path(plan.out or f"runs/{scene.name}-{plan.mode}-s{plan.seed}")
     name = _name(plan, folder, about, wanted, monitor)
     if logs and like["reward"] != about["env"]["reward"]:
@@ -165,7 +168,40 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
             "rewards are recomputed from logged distances and flags: "
             "the logs were recorded with other constants"
         )
-    return Run(plan, scene, folder, wanted, logs, stream, like, judged, about, name)
+    task = learning_task(about["env"], reward=env.task.reward)
+    data: Columns | Stream | None = stream
+    if logs and not stream:
+        data = Columns.from_tables(logs.steps, logs.episodes)
+    return Run(plan, scene, task, data, folder, wanted, logs, like, judged, about, name)
+
+
+def _of_environment(plan: TrainPlan, logs: Logs, monitor: Monitor) -> Run:
+    """A run on the logs of an environment that is not ours."""
+    env, task, columns, wanted = environments.learnt_from(plan, logs)
+    scene = logs.episodes.column("scene")[0].as_py()
+    about = _about(plan, scene, env, wanted, logs)
+    folder = Path(plan.out or f"runs/{scene}-{plan.mode}-s{plan.seed}")
+    name = _name(plan, folder, about, wanted, monitor)
+    return Run(plan, None, task, columns, folder, wanted, logs, env, {}, about, name)
+
+
+@contextmanager
+def _judge(
+    run: Run, monitor: Monitor, window: Live | None
+) -> Iterator[tuple[Judge | environments.Performance | None, tuple[str, ...]]]:
+    """Who judges a run, and the figures by which."""
+    plan, folder = run.plan, run.folder
+    if run.scene is None:
+        made = environments.performance(plan, run.about["env"], folder, monitor, window)
+        with made as found:
+            yield found, environments.RANK
+        return
+    count = plan.eval_episodes
+    elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count
+    judge = Judge(
+        run.judged, folder, run=run.name, episodes=count, elsewhere=elsewhere, window=window
+    )
+    yield judge, RANK
 
 
 def _logs(plan: TrainPlan, monitor: Monitor) -> Logs:
@@ -179,17 +215,15 @@ def _logs(plan: TrainPlan, monitor: Monitor) -> Logs:
     }
     if plan.window:
         return listed(paths, **chosen)
-    return load_logs(paths, verify=plan.verify, **chosen)
+    return load_logs(paths, verify=plan.verify, environments=True, **chosen)
 
 
-def _about(
-    plan: TrainPlan, scene: Scene, env: BatchEnv, wanted: Constants, logs: Logs | None
-) -> Json:
+def _about(plan: TrainPlan, scene: str, env: Json, wanted: Constants, logs: Logs | None) -> Json:
     digests = logs.episodes.column("digest").to_pylist() if logs else []
     return {
-        "scene": scene.name,
+        "scene": scene,
         "mode": plan.mode,
-        "env": env.describe(),
+        "env": env,
         "settings": wanted.settings.asdict(),
         "seed": wanted.settings.loop.seed,
         "envs": plan.envs if plan.mode != "logs" else 0,
@@ -232,6 +266,7 @@ def _name(plan: TrainPlan, folder: Path, about: Json, wanted: Constants, monitor
 def practice_of(run: Run) -> Practice:
     """What the live steps of a run are taken in."""
     plan, tables = run.plan, run.constants.tables
+    assert run.scene is not None  # others have no live steps
     easier = {**asdict(run.constants.settings.train), **tables.get("env", {})}
     return Practice(
         run.scene,
@@ -254,16 +289,12 @@ def trainer_of(run: Run, source: LiveSource | None, hooks: Hooks) -> Trainer:
         source: Of live steps; None if there are none.
         hooks: Evaluation, progress, stop.
     """
-    env, settings = run.judged[""], run.constants.settings
-    logs: Columns | Stream | None = run.stream
-    if run.logs and not run.stream:
-        logs = Columns.from_tables(run.logs.steps, run.logs.episodes)
     kept = ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
     return Trainer(
-        learning_task(env.describe(), reward=env.task.reward),
-        settings,
+        run.task,
+        run.constants.settings,
         folder=run.folder,
-        logs=logs,
+        logs=run.data,
         source=source,
         hooks=hooks,
         about={key: run.about[key] for key in kept},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,14 +30,16 @@ def record_environment(
     from coordlog.catalog.asking import catalogued
     from coordlog.policies.foreign import load
     from coordlog.record.foreign import record_env
+    from coordlog.record.foreign_env import make
 
     if policy in OWN:
         raise ConfigError(
             f"--policy {policy}: acts in coordlog's scenes alone, from joint angles and goals that "
             f"{name} does not say; "
-            "expected random, FILE.py:NAME or a model of stable-baselines3 (.zip) with --env"
+            "expected random, FILE.py:NAME, a model of stable-baselines3 (.zip) or the run folder "
+            "of `coordlog train` on its logs with --env"
         )
-    env = _make(name)
+    env = make(name)
     if policy == "random":
         env.action_space.seed(seed)
         act = lambda observation: env.action_space.sample()  # noqa: E731
@@ -86,26 +87,3 @@ def record_environment(
             ("speed", f"{recorder.steps / seconds:,.0f} steps/s"),
         ]
     )
-
-
-def _make(name: str) -> Any:
-    """A Gymnasium environment by its id.
-
-    Raises:
-        ConfigError: if Gymnasium cannot make it, with its reason.
-    """
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise ConfigError(
-            '--env: needs Gymnasium and its MuJoCo environments: pip install "gymnasium[mujoco]"'
-        ) from error
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            return gymnasium.make(name)
-        except Exception as error:  # whatever the environment's own package raises
-            raise ConfigError(
-                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: "
-                f"{str(error).splitlines()[0]}"
-            ) from error

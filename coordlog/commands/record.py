@@ -34,8 +34,8 @@ Policy = Annotated[
     str,
     typer.Option(
         help="expert, random, still, pretrained, or a run folder or policy file, by default "
-        "expert; with --env random, FILE.py:NAME or a model of stable-baselines3, by default "
-        "random."
+        "expert; with --env random, FILE.py:NAME, a model of stable-baselines3, or a run on its "
+        "logs, by default random."
     ),
 ]
 Count = Annotated[

@@ -28,8 +28,9 @@ Where = Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and sc
 Preset = Annotated[
     str,
     typer.Option(
-        help="default, live, quick (logs, in a minute), or paper. Without a word, live where "
-        "there are fixed obstacles and no logs, else default."
+        help="default, live, quick (logs, in a minute), environment, or paper. Without a word, "
+        "live where there are fixed obstacles and no logs, environment for logs of another "
+        "environment, else default."
     ),
 ]
 Config = Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")]
@@ -122,11 +123,14 @@ def train(
     tensorboard: Tensorboard = False,
     view: View = False,
 ) -> None:
-    """Learn to reach with DiGrad; every live and every evaluation episode is recorded.
+    """Learn to reach with DiGrad; every live and every evaluation episode is recorded. From logs of
+    another environment, learn what its rewards ask for.
 
     Examples:
 
         coordlog train --from logs/table --updates 10000
+
+        coordlog train --from logs/reacher
 
         coordlog train --scene table
 
@@ -154,8 +158,13 @@ def _tell(trained: Trained, *, scene: str) -> None:
     """How the run ended, what it achieved, and the exit code."""
     folder, outcome, skipped = trained
     best = outcome.best or {}
-    rates = f"clean {best['clean']:.1%}, success {best['success']:.1%}" if best else ""
-    merit = f"; best: {rates}, score {best['score']:.2f}" if best else ""
+    merit = ""
+    if "clean" in best:
+        rates = f"clean {best['clean']:.1%}, success {best['success']:.1%}"
+        merit = f"; best: {rates}, score {best['score']:.2f}"
+    elif best:
+        said = f"return {best['return']:.2f} ± {best['return_deviation']:.2f}"
+        merit = f"; best: {said} of {best['episodes']:.0f} episodes"
     spent = f"{outcome.updates:,} updates and {outcome.steps:,} live steps"
     terminal.say(f"{folder}: {outcome.ending} after {spent}{merit}")
     if outcome.event is not None:
@@ -164,7 +173,7 @@ def _tell(trained: Trained, *, scene: str) -> None:
     if outcome.ending == "stopped":
         terminal.note(f"stopped and saved; go on with: coordlog train … --out {folder} --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
-    if best:
+    if "clean" in best:
         terminal.say(f"coordlog record --policy {folder}{scene} --split test --episodes 200")
     if skipped:
         raise typer.Exit(EXIT_PARTIAL)

@@ -132,9 +132,8 @@ def chosen(bag: Any, path: Path, topic: str) -> Connection:
 
 def _joint_states(files: list[Path], path: Path, topic: str, clock: str) -> Motion:
     """All joint states of a topic, decoded together."""
-    frames = of_files(files, topic)
-    found = decode(frames, f"{path}: {topic}")
-    stamps, said = chosen_clock(f"{path}: {topic}", found.header, frames.times, clock)
+    found = decode(of_files(files, topic), f"{path}: {topic}")
+    stamps, said = chosen_clock(f"{path}: {topic}", found.header, found.log, clock)
     velocity = found.velocity
     return Motion(
         path,

@@ -1,4 +1,6 @@
-"""Policies of other people's: a name in a Python file, or a model that stable-baselines3 saved."""
+"""Policies for other people's environments: a name in a Python file, a model that stable-baselines3
+saved, or what coordlog has learnt from an environment's logs.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from coordlog.episode import Json
-from coordlog.errors import ConfigError, unknown
+import numpy as np
+
+from coordlog.episode import Array, Json
+from coordlog.errors import ConfigError, FormatError, unknown
+from coordlog.policies.learned import Policy
+from coordlog.policies.registry import SUFFIX, policy_file
+from coordlog.sim.foreign import TASK, flat
 from coordlog.tasks.own import run_file
 
 Act = Callable[[Any], Any]
 """Observation in, action out."""
+SCALES = ("action_low", "action_high", "state_offset", "state_scale")
+"""What a policy for an environment is told of it, in its `coordlog.env` record: it sees states less
+the offset by the scale, and its -1 and 1 are the least and the greatest action.
+"""
 ALGORITHMS = (
     ("target_entropy", "SAC"),
     ("policy_delay", "TD3"),
@@ -42,10 +53,14 @@ def load(name: str) -> tuple[Act, Json]:
             raise unknown(f"policy of {file}", attribute, names)
         return as_act(found[attribute], name), _about("python", name, Path(file))
     path = Path(name)
+    if path.is_dir() or path.suffix == SUFFIX or path.with_name(path.name + SUFFIX).is_file():
+        own = policy_file(name, "")
+        assert own is not None  # no scripted policy has such a name
+        return learnt(Policy.load(own), own), _about("digrad", name, own)
     if not path.is_file():
         raise ConfigError(
-            f"{name}: expected random, FILE.py:NAME or a model of stable-baselines3 (.zip), found "
-            "no such file"
+            f"{name}: expected random, FILE.py:NAME, a model of stable-baselines3 (.zip) or a run "
+            "folder, found no such file"
         )
     if zipfile.is_zipfile(path):
         return _stable_baselines(path), _about("stable-baselines3", path.stem, path)
@@ -80,6 +95,40 @@ def as_act(policy: Any, name: str) -> Act:
         f"{name}: expected something with `predict` or `act`, or a function of the observation, "
         f"got {type(policy).__name__}"
     )
+
+
+def learnt(policy: Policy, name: str | Path) -> Act:
+    """What coordlog has learnt from an environment's logs, in the environment's own units.
+
+    Raises:
+        ConfigError: if it was learnt in a scene of coordlog's.
+        FormatError: if its file lacks the scales.
+    """
+    env = policy.about.get("env", {})
+    if env.get("task", {}).get("name") != TASK:
+        raise ConfigError(
+            f"{name}: a policy that acts in coordlog's scenes alone, trained in "
+            f"'{policy.about.get('scene', '')}'; expected one that was learnt from logs of an "
+            "environment"
+        )
+    try:
+        low, high, offset, scale = (np.array(env[key], np.float32) for key in SCALES)
+        fits = low.shape == high.shape == (policy.n_u,) and offset.shape == scale.shape
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{name}: expected the scales {', '.join(SCALES)} in it") from error
+    if not fits or offset.shape != (policy.n_x,):
+        raise FormatError(f"{name}: its scales {', '.join(SCALES)} do not fit its network")
+
+    def act(observation: Any) -> Array:
+        seen = flat(observation).astype(np.float32)
+        if seen.shape != offset.shape:
+            raise ConfigError(
+                f"{name}: expected an observation of {policy.n_x} numbers, as in "
+                f"'{policy.about.get('scene', '')}' where it was trained, got {seen.size}"
+            )
+        return np.asarray(low + (policy((seen - offset) / scale) + 1) / 2 * (high - low))
+
+    return act
 
 
 def _about(kind: str, name: str, file: Path) -> Json:
@@ -119,8 +168,6 @@ def _kind(path: Path) -> str:
     head = path.read_bytes()[:16]
     if path.suffix == ".py":
         return "a file without the name in it: write FILE.py:NAME"
-    if path.suffix == ".safetensors":
-        return "a policy of coordlog's own (.safetensors), which acts in coordlog's scenes alone"
     if head[:1] == b"\x80":
         return "a pickle, which would run anything: save the policy with its own library"
     if head[:4] == b"\x7fELF":

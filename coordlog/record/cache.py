@@ -41,7 +41,7 @@ from coordlog.record.digests import (
 )
 from coordlog.record.files import Skipped
 from coordlog.record.storage import translated
-from coordlog.spec import LEARNT, names
+from coordlog.spec import LEARNT, REWARDED, names
 
 SHARD = 128
 """Episodes in a shard."""
@@ -66,7 +66,8 @@ class Logs:
     """Columns of a set of episodes, in the order of their files."""
 
     steps: pa.Table
-    """One row per step: what `spec.LEARNT` names; the rest stays in the files."""
+    """One row per step: what `spec.LEARNT` names, or `REWARDED` where no task of ours judged; the
+    rest stays in the files."""
     episodes: pa.Table
     """One row per episode: scene, split, robot, start, seed, index, env (the `coordlog.env` record
     as JSON), state (final), length, digest, file. The catalogue says the rest."""
@@ -149,7 +150,9 @@ def build(paths: Sequence[Path], *, folder: Path) -> Built:
     known = frozenset(_known(folder))
     for part in decoded(paths, skipped=skipped, digests=digests, known=known):
         episodes = _described(part)
-        kept = [name for name in names(LEARNT) if name in part.steps.column_names]
+        ours = "distance" in part.steps.column_names
+        learnt = names(LEARNT if ours else REWARDED)
+        kept = [name for name in learnt if name in part.steps.column_names]
         name = hashlib.sha256((EDITION + "".join(part.digests)).encode()).hexdigest()[:24]
         sums = {
             STEPS: _write(folder / f"{name}{STEPS}", part.steps.select(kept)),

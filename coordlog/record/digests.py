@@ -14,7 +14,7 @@ from coordlog.record.addresses import is_elsewhere, size_and_time
 from coordlog.record.storage import translated
 from coordlog.version import __version__
 
-EDITION = f"{__version__}-3"
+EDITION = f"{__version__}-4"
 """Shards of another edition are not read."""
 DIGESTS = "digests.json"
 FRESH = 100_000_000

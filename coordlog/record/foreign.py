@@ -29,6 +29,7 @@ from coordlog.record.foreign_env import (
     at_first,
     file_of,
     name_of,
+    range_of,
     several,
     simulation_of,
     takes_seed,
@@ -91,6 +92,7 @@ class Recorder:
             env.unwrapped.envs = type(env.unwrapped.envs)(self._each)
         else:
             self._subject = Subject(simulation_of(env)[0], self._source)
+            self._range = range_of(env)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
@@ -119,6 +121,7 @@ class Recorder:
             },
             "policy": self._policy,
             "task": {"environment": name},
+            "actions": self._range,
         }
         self._log = EpisodeLog(
             self._subject,

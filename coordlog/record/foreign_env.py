@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -208,6 +209,50 @@ def takes_seed(reset: Callable[..., Any]) -> bool:
     """Whether a `reset` takes a seed."""
     known = inspect.signature(reset).parameters.values()
     return any(item.name == "seed" or item.kind is item.VAR_KEYWORD for item in known)
+
+
+def range_of(env: Any) -> tuple[list[float], list[float]] | None:
+    """Least and greatest of each action, where an environment of Gymnasium, dm_env or robosuite
+    says them and they are finite.
+    """
+    space = getattr(env, "action_space", None)
+    if space is None:
+        space = getattr(env, "action_spec", None)
+        space = space() if callable(space) else space
+    low = getattr(space, "low", getattr(space, "minimum", None))
+    high = getattr(space, "high", getattr(space, "maximum", None))
+    if isinstance(space, tuple) and len(space) == 2:
+        low, high = space
+    try:
+        ends = [np.asarray(each, np.float64).ravel() for each in (low, high)]
+    except (TypeError, ValueError):
+        return None
+    if ends[0].shape != ends[1].shape or not np.isfinite(ends).all():
+        return None
+    return ends[0].tolist(), ends[1].tolist()
+
+
+def make(name: str) -> Any:
+    """A Gymnasium environment by its id.
+
+    Raises:
+        ConfigError: if Gymnasium is not there, or cannot make it, with its reason.
+    """
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise ConfigError(
+            '--env: needs Gymnasium and its MuJoCo environments: pip install "gymnasium[mujoco]"'
+        ) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return gymnasium.make(name)
+        except Exception as error:  # whatever the environment's own package raises
+            raise ConfigError(
+                f"--env {name}: Gymnasium cannot make it: {type(error).__name__}: "
+                f"{str(error).splitlines()[0]}"
+            ) from error
 
 
 def file_of(env: Any) -> Path | None:

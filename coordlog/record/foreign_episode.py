@@ -62,7 +62,7 @@ class EpisodeLog:
             data: Its state.
             path: Name of the file, once it is finished.
             about: What is known of the episode: "episode" and "policy" records, in part, the names
-                of "heads", and the "task" record.
+                of "heads", the "task" record, and least and greatest "actions".
             observation: What the policy sees first; without one the state is qpos and qvel.
             verify: Take the steps again while recording.
         """

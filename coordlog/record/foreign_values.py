@@ -15,30 +15,11 @@ import numpy as np
 from coordlog.episode import Array, Header, Json
 from coordlog.errors import SpecError
 from coordlog.record.foreign_env import Subject
-from coordlog.sim.foreign import SUBSTEPS, TASK
+from coordlog.sim.foreign import SUBSTEPS, TASK, flat
 from coordlog.spec import SCHEMA_VERSION
 from coordlog.version import __version__
 
 _FLOATS = frozenset({float, np.float64, np.float32})
-
-
-def flat(value: Any) -> Array:
-    """An observation, action or reward as one row of numbers; parts of a mapping in the order of
-    their names.
-
-    Raises:
-        SpecError: if there is anything but numbers in it.
-    """
-    if isinstance(value, Mapping):
-        return np.concatenate([flat(value[key]) for key in sorted(value)])
-    if isinstance(value, tuple):
-        return np.concatenate([flat(each) for each in value])
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiub":
-        raise SpecError(
-            f"expected numbers in observation, action and reward, got {type(value).__name__}"
-        )
-    return np.atleast_1d(array).ravel()
 
 
 def numbers(info: Mapping[str, Any]) -> dict[str, Array]:
@@ -226,6 +207,7 @@ def header_of(subject: Subject, first: Mapping[str, Array], about: Json) -> Head
         "arms": {head: list(range(widths["action"])) for head in heads},
         "action_joints": [f"action_{i}" for i in range(widths["action"])],
         "state": [f"state_{i}" for i in range(widths["state"])],
+        **_range(about, widths["action"]),
         "layout": {
             "n_q": model.nq,
             "n_v": model.nv,
@@ -249,6 +231,14 @@ def header_of(subject: Subject, first: Mapping[str, Array], about: Json) -> Head
     }
     policy = {"kind": "", "name": "", "checkpoint_sha256": "", "noise": {}}
     return Header(episode, env, {**policy, **about.get("policy", {})})
+
+
+def _range(about: Json, n_u: int) -> Json:
+    """Least and greatest of each action, where the environment says them."""
+    low, high = about.get("actions") or ((), ())
+    if not len(low) == len(high) == n_u:
+        return {}
+    return {"action_low": list(low), "action_high": list(high)}
 
 
 def _field(name: str, kind: str, size: str, unit: str, when: str) -> Json:

@@ -10,13 +10,13 @@ so; and where neither explains a step, that step is refused.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.errors import FormatError, SimulationError
+from coordlog.errors import FormatError, SimulationError, SpecError
 from coordlog.sim.inputs import place
 from coordlog.sim.watch import STATE, STEP, state_of
 
@@ -32,6 +32,25 @@ AHEAD = 256
 """Most steps of a run; a simulation that its environment sets itself is followed step by step."""
 MOST = 0.5
 """A step is refused if more than this share of the coordinates is not what the physics makes."""
+
+
+def flat(value: Any) -> Array:
+    """An observation, action or reward as one row of numbers; parts of a mapping in the order of
+    their names.
+
+    Raises:
+        SpecError: if there is anything but numbers in it.
+    """
+    if isinstance(value, Mapping):
+        return np.concatenate([flat(value[key]) for key in sorted(value)])
+    if isinstance(value, tuple):
+        return np.concatenate([flat(each) for each in value])
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        raise SpecError(
+            f"expected numbers in observation, action and reward, got {type(value).__name__}"
+        )
+    return np.atleast_1d(array).ravel()
 
 
 class Parts:

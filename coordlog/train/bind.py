@@ -17,6 +17,7 @@ from coordlog.spec import LEARNT, names, owned
 from coordlog.tasks import registry
 from coordlog.tasks.config import EnvConfig, RewardConfig
 from coordlog.tasks.reach.observation import StateView
+from coordlog.train.columns import Columns
 from coordlog.train.relabel import GoalView
 from coordlog.train.task import Motion, Task
 
@@ -69,6 +70,25 @@ def learning_task(env: Json, *, reward: RewardConfig | None = None) -> Task:
     )
 
 
+def recorded_task(env: Json, logs: Columns) -> Task:
+    """The task of an environment that is not ours: its rewards as they were logged, a head for each
+    of them.
+
+    Args:
+        env: Its `coordlog.env` record.
+        logs: What is learnt from.
+
+    Raises:
+        SpecError: if every reward is 0.
+    """
+    rewards = logs.steps["reward"]
+    low, high = float(rewards.min()), float(rewards.max())
+    if low == high == 0:
+        raise SpecError("logs: expected rewards to learn from, got 0 at every step")
+    layout = env["layout"]
+    return Task(layout["n_x"], layout["n_u"], env["arms"], None, rewards=(low, high))
+
+
 def goal_view(env: Json, rules: Rules) -> GoalView:
     """Where palms and goals stand in the state of a `coordlog.env` record."""
     view, config = StateView.from_json(env), build(EnvConfig, env["config"])
@@ -102,7 +122,7 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
         SpecError: naming what differs.
     """
     for key in SAME:
-        if _seen(first[key]) != _seen(other[key]):
+        if _seen(first.get(key)) != _seen(other.get(key)):
             raise SpecError(
                 f"{where}: its {key} is not that of the other logs; train on logs of one robot and "
                 "one state layout at a time"
@@ -113,7 +133,7 @@ def require_alike(first: Json, other: Json, *, where: str) -> None:
             f"{where}: its task is {tasks[1]}, that of the other logs {tasks[0]}; "
             "train on logs of one task at a time"
         )
-    before, now = (env["config"]["control_period"] for env in (first, other))
+    before, now = (env["config"].get("control_period") for env in (first, other))
     if before != now:
         raise SpecError(
             f"{where}: its control period is {now:g} s, that of the other logs {before:g} s; train "

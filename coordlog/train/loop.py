@@ -34,7 +34,6 @@ from coordlog.train.exploration import Exploring, Noise
 from coordlog.train.gradients import gradient_mask
 from coordlog.train.metrics import Event, MetricsLog, Row, Tally, Watch
 from coordlog.train.networks import Actor
-from coordlog.train.relabel import value_bounds
 from coordlog.train.replay import MixedReplay
 from coordlog.train.settings import Settings, refuse_changes
 from coordlog.train.stream import Stream
@@ -113,13 +112,7 @@ class Trainer:
         self.replay = MixedReplay(
             replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device
         )
-        bounds = value_bounds(
-            task.reward,
-            k=len(task.arms),
-            gamma=settings.learner.gamma,
-            farthest=task.farthest,
-            ended=task.ended,
-        )
+        bounds = task.bounds(settings.learner.gamma)
         mask = gradient_mask(task.arms, task.n_u)
         self.learner = Learner(
             task.n_x,

@@ -252,8 +252,9 @@ class MixedReplay:
         rows = store.draw(rng, len(out.state))
         count = round(share * len(rows))
         if count > 0:
-            view = self._task.view
+            view, reward = self._task.view, self._task.reward
             assert view is not None
+            assert reward is not None  # a task with goals has one
             then, steps = store.later(rng, rows[:count], config.horizon)
             distant = round(far * count)
             if distant > 0:
@@ -261,7 +262,7 @@ class MixedReplay:
             reached = store.next_state(then)
             part, asked = (
                 out.rows(slice(0, count)),
-                Asked(view.points(reached, view.palms), view, self._task.reward),
+                Asked(view.points(reached, view.palms), view, reward),
             )
             in_hindsight(store, rows[:count], part, asked, self._horizon)
             part.wanted[:] = (

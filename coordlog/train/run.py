@@ -177,7 +177,7 @@ def _checked(path: Path, said: Json) -> Json:
         if name in TABLES and type(section) is not dict:
             raise ConfigError(f"{path}: '{name}': expected a table, got {str(section)[:40]!r}")
     said.setdefault("start", "stand")  # runs of before there was a choice
-    if "env" in said:
+    if said.get("env", {}).get("config"):  # that of an environment which is not ours is empty
         said["env"]["config"] = plain(EnvConfig()) | said["env"].get("config", {})
     return said
 

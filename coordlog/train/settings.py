@@ -74,6 +74,14 @@ PRESETS: dict[str, Settings] = {
         ),
         train=PracticeConfig(start_line=0.2, start_random=0.3, start_solved=0.25, inflate=0.005),
     ),
+    # From logs of an environment that is not ours: pulled as strongly as TD3+BC (Fujimoto and Gu
+    # 2021), so that what was done can be bettered.
+    "environment": Settings(
+        learner=LearnerConfig(actor_rate=3e-4, critic_rate=3e-4, actor_delay=2, gamma=0.99),
+        behaviour=BehaviourConfig(weight=1.0, final=1.0, effort=0.0),
+        replay=ReplayConfig(n_step=1),
+        loop=LoopConfig(updates=5_000),
+    ),
     # As printed in §V-B; what the paper leaves open follows DDPG (γ, τ, batch, where the action
     # enters) or is our choice (noise).
     "paper": Settings(

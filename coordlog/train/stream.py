@@ -146,7 +146,7 @@ class Stream:
         }
 
     def open(
-        self, widths: tuple[int, int, int], reward: RewardFunction, *, drawn: int
+        self, widths: tuple[int, int, int], reward: RewardFunction | None, *, drawn: int
     ) -> Transitions:
         """The window, still empty.
 

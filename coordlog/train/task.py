@@ -13,7 +13,7 @@ from coordlog.policies.learned import Policy
 from coordlog.tasks.reach.reward import ended
 from coordlog.train.columns import Block
 from coordlog.train.metrics import Event, Row
-from coordlog.train.relabel import Ended, GoalView, RewardFunction
+from coordlog.train.relabel import Ended, GoalView, RewardFunction, value_bounds
 
 
 class Motion(NamedTuple):
@@ -39,10 +39,12 @@ class Task:
 
     One critic head per arm, in this order.
     """
-    reward: RewardFunction
-    """The paper's reward with its constants bound."""
-    farthest: float
+    reward: RewardFunction | None
+    """The paper's reward with its constants bound; None for the rewards that were logged."""
+    farthest: float = 0.0
     """Greatest distance between a palm and its goal [m], for the bounds of the return."""
+    rewards: tuple[float, float] = (0.0, 0.0)
+    """Least and greatest reward that was logged, where these are learnt from."""
     view: GoalView | None = None
     """Where palms and goals stand in the state; without it there are no goals in hindsight."""
     motion: Motion | None = None
@@ -61,6 +63,15 @@ class Task:
     def widths(self) -> tuple[int, int, int]:
         """n_x, n_u and k."""
         return self.n_x, self.n_u, len(self.arms)
+
+    def bounds(self, gamma: float) -> tuple[float, float]:
+        """Least and greatest return any policy can have, discounted by γ."""
+        if self.reward is None:
+            low, high = self.rewards
+            return min(low, low / (1 - gamma)), max(high, high / (1 - gamma))
+        return value_bounds(
+            self.reward, k=len(self.arms), gamma=gamma, farthest=self.farthest, ended=self.ended
+        )
 
 
 class LiveSource(Protocol):

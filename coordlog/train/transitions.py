@@ -39,7 +39,7 @@ class Transitions:
         rows: dict[str, Array],
         *,
         lanes: int,
-        reward: RewardFunction,
+        reward: RewardFunction | None,
         length: Array | None = None,
         final: Array | None = None,
     ) -> None:
@@ -57,7 +57,12 @@ class Transitions:
 
     @classmethod
     def ring(
-        cls, capacity: int, lanes: int, *, widths: tuple[int, int, int], reward: RewardFunction
+        cls,
+        capacity: int,
+        lanes: int,
+        *,
+        widths: tuple[int, int, int],
+        reward: RewardFunction | None,
     ) -> Transitions:
         """Room for the last `capacity` transitions of `add`; the system provides the memory as it
         is written to.
@@ -83,18 +88,23 @@ class Transitions:
         return cls(rows, lanes=lanes, reward=reward)
 
     @classmethod
-    def of_logs(cls, logs: Columns, reward: RewardFunction) -> Transitions:
+    def of_logs(cls, logs: Columns, reward: RewardFunction | None) -> Transitions:
         """All transitions of logs. States and actions stay where they are, memory-mapped or not.
 
         Rewards are computed from the logged distances and flags; whatever constants the logs were
-        made with do not matter.
+        made with do not matter. Without a function they are those that were logged, and nothing
+        went wrong.
         """
         steps, length = logs.steps, np.asarray(logs.length, np.int32)
         n = len(steps["state"])
-        rewards = np.empty(steps["distance"].shape, np.float32)
-        for start in range(0, n, CHUNK):
-            part = slice(start, start + CHUNK)
-            rewards[part] = reward(*(steps[name][part] for name in _OUTCOME))
+        if reward is None:
+            rewards = np.asarray(steps["reward"], np.float32)
+            steps = {**steps, **dict.fromkeys(("collision", "instability"), np.zeros(n, np.bool_))}
+        else:
+            rewards = np.empty(steps["distance"].shape, np.float32)
+            for start in range(0, n, CHUNK):
+                part = slice(start, start + CHUNK)
+                rewards[part] = reward(*(steps[name][part] for name in _OUTCOME))
         mishaps = np.cumsum(steps["collision"] | steps["instability"], dtype=np.int32)
         kept = ("state", "action", "collision", "instability", "terminated")
         step = np.arange(n, dtype=np.int32)
@@ -135,6 +145,7 @@ class Transitions:
             name: array.reshape(n * self.lanes, *array.shape[2:])
             for name, array in block._asdict().items()
         }
+        assert self._reward is not None  # nothing but logs tells rewards of its own
         reward = self._reward(*(flat[name] for name in _OUTCOME))
         slots = (self.total + np.arange(n)) % self.slots
         before = self._slots("mishaps")[(self.total - 1) % self.slots]  # of a new buffer: zeros

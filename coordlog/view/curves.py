@@ -14,8 +14,16 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from coordlog.episode import Array
 from coordlog.view.palette import JOINTS, cycle
 
-PANELS = {"score": "score, -ln Σ error", "success": "success", "clean": "clean success"}
-"""Figures that are drawn, and what stands above them."""
+PANELS = {
+    "score": "score, -ln Σ error",
+    "success": "success",
+    "clean": "clean success",
+    "return": "return",
+}
+"""Figures that are drawn, and what stands above them; the last is that of environments that are not
+ours, which have no other.
+"""
+RATES = ("success", "clean")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +52,9 @@ def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, agains
             colour.
         against: What x counts.
     """
-    figure = Figure(figsize=(4.4 * len(PANELS), 3.3 * len(scenes) + 0.5), layout="constrained")
-    grid = figure.subplots(len(scenes), len(PANELS), squeeze=False, sharex="row")
+    columns = max(len(curves) for curves in scenes.values())
+    figure = Figure(figsize=(4.4 * columns, 3.3 * len(scenes) + 0.5), layout="constrained")
+    grid = figure.subplots(len(scenes), columns, squeeze=False, sharex="row")
     for axes_of_scene, (scene, curves) in zip(grid, scenes.items(), strict=True):
         labels = list(
             dict.fromkeys(curve.label for members in curves.values() for curve in members)
@@ -54,14 +63,16 @@ def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, agains
             label: tuple(part / 255 for part in cycle(JOINTS, i)[:3])
             for i, label in enumerate(labels)
         }
-        for axes, (name, title) in zip(axes_of_scene, PANELS.items(), strict=True):
-            for curve in curves.get(name, ()):
+        for axes in axes_of_scene[len(curves) :]:
+            axes.set_axis_off()
+        for axes, name in zip(axes_of_scene, curves, strict=False):
+            for curve in curves[name]:
                 _draw(axes, curve, colours[curve.label])
-            axes.set(title=f"{scene}: {title}", xlabel=against)
+            axes.set(title=f"{scene}: {PANELS[name]}", xlabel=against)
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
             axes.set_xlim(left=0)
             axes.grid(alpha=0.25)
-            if name != "score":
+            if name in RATES:
                 axes.set_ylim(-0.03, 1.03)
                 axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         if axes_of_scene[0].lines:
