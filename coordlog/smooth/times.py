@@ -138,7 +138,7 @@ def _require_finer(time: Floats, kind: type[np.floating[Any]], *, shared: int) -
     step = float(np.spacing(np.abs(narrow).max()))
     if (narrow == time).all() and step > _COARSE * (time[-1] - time[0]) / (len(time) - 1):
         raise SpecError(
-            f"time: these are {kind.__name__} numbers, which lie {step:.3g} s apart at {time[-1]:.6g} s: "
-            f"{shared} of {len(time)} samples share a time with another "
+            f"time: these are {kind.__name__} numbers, which lie {step:.3g} s apart at "
+            f"{time[-1]:.6g} s: {shared} of {len(time)} samples share a time with another "
             f"({len(time) - shared} distinct times); pass float64 seconds, or datetime64"
         )
