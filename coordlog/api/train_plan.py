@@ -41,8 +41,8 @@ class TrainPlan:
     where: str = ""
     """Which episodes, in SQL."""
     preset: str = ""
-    """default, live, quick, or paper; without a word, live where there are fixed obstacles and no
-    logs."""
+    """default, live, agile, quick, or paper; without a word and without logs, live where there are
+    fixed obstacles, agile where they stand elsewhere in every episode."""
     config: Path | None = None
     """TOML file of settings, [env] and [reward]."""
     settings: Sequence[str] | None = None
@@ -163,8 +163,8 @@ def preset_of(plan: TrainPlan) -> str:
     """The preset of a run that names none: that of the run it goes on with, or what was measured to
     learn best.
 
-    From live steps alone, `live` goes around fixed obstacles, where `default` learns nothing; where
-    there are none, `default` learns in a third of the steps.
+    From live steps alone, `live` goes around fixed obstacles, where `default` learns nothing, and
+    `agile` around spheres; where nothing is in the way, `default` learns in a third of the steps.
     """
     from coordlog.tasks.own import scene_of
     from coordlog.train.run import recall
@@ -173,7 +173,9 @@ def preset_of(plan: TrainPlan) -> str:
         return str(recall(plan.out).get("preset", "default"))
     named = plan.scene or "table"
     scene = scene_of(named) if isinstance(named, str) else named
-    return "live" if plan.mode == "live" and scene.panels else "default"
+    if plan.mode != "live":
+        return "default"
+    return "live" if scene.panels else "agile" if scene.spheres else "default"
 
 
 def _around(

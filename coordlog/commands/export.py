@@ -11,6 +11,7 @@ import typer
 from coordlog.commands import terminal
 from coordlog.commands.options import Episodes, Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
+from coordlog.exchange import FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 To = Annotated[
     str,
-    typer.Option(help="lerobot, lerobot2.1, minari, robomimic, rosbag2, parquet or csv."),
+    typer.Option(help=" or ".join(", ".join(FORMATS).rsplit(", ", 1)) + "."),
 ]
 Where = Annotated[
     str,

@@ -28,9 +28,9 @@ Where = Annotated[str, typer.Option(help="Which episodes, in SQL: \"clean and sc
 Preset = Annotated[
     str,
     typer.Option(
-        help="default, live, quick (logs, in a minute), environment, or paper. Without a word, "
-        "live where there are fixed obstacles and no logs, environment for logs of another "
-        "environment, else default."
+        help="default, live, agile, quick (logs, in a minute), environment, or paper. Without a "
+        "word: environment for logs of another environment; without logs, live where there are "
+        "fixed obstacles and agile where they stand elsewhere every time; else default."
     ),
 ]
 Config = Annotated[Path | None, typer.Option(help="TOML file of settings, [env] and [reward].")]

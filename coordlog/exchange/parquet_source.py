@@ -45,9 +45,7 @@ def _require_content(path: Path) -> None:
     with path.open("rb") as stream:
         pointer = stream.read(len(_POINTER)) == _POINTER
     if pointer:
-        raise FormatError(
-            f"{path}: a pointer of Git LFS, not the file: `git lfs pull` gets it"
-        )
+        raise FormatError(f"{path}: a pointer of Git LFS, not the file: `git lfs pull` gets it")
 
 
 def read_columns(path: Path, names: Sequence[str]) -> pa.Table:

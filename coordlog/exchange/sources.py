@@ -12,6 +12,7 @@ from coordlog.exchange.motion import Motion
 
 PACKED = (".zstd", ".zst", ".gz", ".xz", ".bz2", ".zip", ".tar", ".tgz", ".7z")
 
+
 @dataclass(frozen=True)
 class Reading:
     """How to read a source: what its files do not say of themselves.

@@ -369,7 +369,7 @@ def test_live_steps_are_practised_and_evaluations_are_not(cache: Path, tmp_path:
         ("table", True, "live"),
         ("shelf", True, "live"),
         ("free", True, "default"),
-        ("spheres", True, "default"),
+        ("spheres", True, "agile"),
         ("planar", True, "default"),
         ("table", False, "default"),
     ],

@@ -119,7 +119,9 @@ def test_a_bad_file_or_preset_is_named(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="cannot be read"):
         load_settings(tmp_path / "none.toml")
     with pytest.raises(
-        ConfigError, match="unknown preset 'best'; choose one of: default, live, paper, quick"
+        ConfigError,
+        match="unknown preset 'best'; choose one of: agile, default, environment, live, paper, "
+        "quick",
     ):
         load_settings(preset="best")
 
