@@ -244,6 +244,8 @@ def _untouched(view: memoryview) -> bool:
     opcode, _, at, length, _, name = _MARKER_INDEX.unpack_from(view, entry)
     if (opcode, name) != (Opcode.METADATA_INDEX, RESULT.encode()) or at + length != stop:
         return False
+    if length < RECORD_HEAD.size:
+        return False
     head = RECORD_HEAD.pack(Opcode.METADATA, length - RECORD_HEAD.size)
     if view[at : at + RECORD_HEAD.size] != head:
         return False
@@ -257,7 +259,7 @@ def _untouched(view: memoryview) -> bool:
     if (
         name != RESULT
         or said.get("bytes") != bytes_text(before, summary)
-        or (view[stop:start], stored) != (end, summary)
+        or (bytes(view[stop:start]), stored) != (end, summary)
         or marker.get("seal") != digest(said)
     ):
         return False

@@ -87,7 +87,8 @@ def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     """
     name, at = _string(content, 0)
     (size,) = _unpack("<I", content, at)
-    texts, at, stop = [], at + 4, len(content)
+    at, stop = at + 4, len(content)
+    texts: list[bytes] = []
     if at + size != stop:
         raise FormatError(f"metadata {name!r}: expected {stop - at} bytes of values, got {size}")
     while at < stop or (at == stop and len(texts) % 2):

@@ -228,6 +228,17 @@ def test_a_footer_that_points_elsewhere_is_noticed_behind_a_right_crc(file):
     assert "footer" in [finding.field for finding in checked(file, "file")]
 
 
+@pytest.mark.parametrize(("offset", "length"), [(0, 0), (-4, 4), (1 << 62, 1 << 62)])
+def test_a_summary_that_misplaces_the_marker_is_noticed_behind_a_right_crc(file, offset, length):
+    def change(data, start):
+        last = [span for span in walk(data, start) if span.opcode == Opcode.METADATA_INDEX][-1]
+        at = start - 13 + offset if offset <= 0 else offset
+        data[last.start : last.start + 16] = at.to_bytes(8, "little") + length.to_bytes(8, "little")
+
+    resealed(file, change)
+    assert "summary MetadataIndex 4" in [finding.field for finding in checked(file, "file")]
+
+
 def test_another_schema_text_is_noticed(tmp_path, episode, monkeypatch):
     from coordlog.record import topics
     from coordlog.record.schema import SCHEMAS
