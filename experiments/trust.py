@@ -26,7 +26,7 @@ from typer.testing import CliRunner
 
 from coordlog import cli
 from coordlog.episode import Episode, Header
-from coordlog.errors import CoordlogError
+from coordlog.errors import EXIT_INTERRUPTED, CoordlogError
 from coordlog.record import writer
 from coordlog.record.metadata import encode_header
 from coordlog.record.reader import read_attachments, read_episode
@@ -63,6 +63,8 @@ def command(*words: object) -> tuple[int, str, BaseException | None]:
     error = done.exception
     if isinstance(error, CoordlogError):
         return error.exit_code, f"{done.output}{error}", None
+    if isinstance(error, KeyboardInterrupt) or done.exit_code == EXIT_INTERRUPTED:
+        raise KeyboardInterrupt  # a command takes it for its own end
     if error is None or isinstance(error, SystemExit):
         return done.exit_code, done.output, None
     return 1, done.output, error
@@ -111,7 +113,7 @@ def harm_bytes(
     *,
     count: int,
     seed: int,
-    check: bool,
+    level: str = "",
 ) -> Count:
     """Harm the bytes of one episode again and again, and read or check it.
 
@@ -121,7 +123,7 @@ def harm_bytes(
         how: The harm.
         count: How many to draw.
         seed: Of the draws.
-        check: Ask `check` about each; otherwise open it.
+        level: Ask `check` about each, at this level; otherwise open it.
     """
     rng, found, whole = np.random.default_rng(seed), Count(), source.read_bytes()
     wanted, path = read_episode(source), folder / "harmed.mcap"
@@ -130,7 +132,7 @@ def harm_bytes(
         path.write_bytes(how(whole, rng))
         found.tried += 1
         try:
-            if check and check_files([path], level="content").findings:
+            if level and check_files([path], level=level).findings:
                 found.noticed += 1
             elif not same(read_episode(path), wanted) or read_attachments(path) != attached:
                 found.silent += 1
@@ -386,9 +388,9 @@ def main() -> None:
         source = recorded(folder)
         rows = {}
         for how, what in ((flipped, "one bit flipped"), (cut, "cut off"), (smeared, "overwritten")):
-            for check in (False, True):
-                where = "`check --level content`" if check else "`open`"
-                harmed = harm_bytes(source, folder, how, count=count, seed=1, check=check)
+            for level in ("", "file", "content"):
+                where = f"`check --level {level}`" if level else "`open`"
+                harmed = harm_bytes(source, folder, how, count=count, seed=1, level=level)
                 rows[f"episode file, {what}, {where}"] = harmed
         rows["metadata of an episode, odd, every command"] = harm_metadata(
             source, folder, count=count // 5, seed=2, commands=EVERY

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, sha256, size_and_time
-from coordlog.record.pack_writer import SHARD_BYTES, PackWriter
+from coordlog.record.pack_writer import SHARD_BYTES, PackWriter, fits
 from coordlog.record.places import Folder
 
 SECOND = 10**9  # ns
@@ -24,6 +24,8 @@ class Packed(NamedTuple):
     """bytes"""
     there: int
     """Files that were there already, with the same bytes."""
+    left_out: tuple[str, ...] = ()
+    """Files that could not be read or not be packed, and why."""
 
 
 def pack_files(
@@ -34,7 +36,7 @@ def pack_files(
     tell: Callable[[], None] = lambda: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Packed:
-    """Append episode files to a pack, under their names.
+    """Append episode files to a pack, under their names; those that cannot be are left out.
 
     Args:
         files: Addresses, and names within the pack.
@@ -44,16 +46,25 @@ def pack_files(
         stop: Asked before each file; True leaves a sound pack of those before it.
 
     Raises:
-        StorageError: if two files have one name, the pack has other bytes under a name, or the file
-            system refuses.
+        StorageError: if two files have one name, none has a name that a pack can hold, the pack has
+            other bytes under a name, or the file system refuses.
     """
     _require_names(files)
+    fitting = [(path, name) for path, name in files if fits(name)]
+    refused = [path for path, name in files if not fits(name)]
+    left_out = [f"{path}: a pack holds names of one line only; rename it" for path in refused]
+    if files and not fitting:
+        raise StorageError(f"nothing to pack; {left_out[0]}")
     count, size, there = 0, 0, 0
     with PackWriter(out, shard_bytes=shard_bytes) as writer:
-        for path, name in files:
+        for path, name in fitting:
             if stop():
                 break
-            data = contents_of(path)
+            try:
+                data = contents_of(path)
+            except StorageError as error:
+                left_out.append(str(error))
+                continue
             known = writer.digest(name)
             if known is not None and known == hashlib.sha256(data).hexdigest():
                 there += 1
@@ -61,7 +72,7 @@ def pack_files(
                 writer.append(name, data, mtime=(size_and_time(path) or (0, 0))[1] // SECOND)
                 count, size = count + 1, size + len(data)
             tell()
-    return Packed(count, size, there)
+    return Packed(count, size, there, tuple(left_out))
 
 
 def unpack_files(

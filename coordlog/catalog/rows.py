@@ -73,6 +73,8 @@ MEANING = {
 """What is not plain from a column's name."""
 KEPT = pa.schema([*COLUMNS, ("error", pa.string()), ("gone", pa.bool_())])
 """What a catalogue keeps: also what is wrong with a file, and that it is gone."""
+EMPTY = pa.Table.from_batches([], KEPT)
+"""No rows; made so, since `empty_table` loads pandas where there is one, for half a second."""
 
 
 class Job(NamedTuple):

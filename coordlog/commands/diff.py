@@ -10,7 +10,7 @@ import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.options import Jobs, json_flag
-from coordlog.errors import EXIT_CHECK_FAILED
+from coordlog.errors import EXIT_CHECK_FAILED, EXIT_PARTIAL
 
 if TYPE_CHECKING:
     from coordlog.catalog.selection import Difference
@@ -27,7 +27,8 @@ def diff(
 ) -> None:
     """Compare two sets of episodes: which are in one alone, other settings, other figures.
 
-    Episodes are the same if their files have the same sha256. Exit code 1 if the sets differ.
+    Episodes are the same if their files have the same sha256. Exit code 1 if the sets differ,
+    3 if they do not and files, each named, could not be looked at.
 
     Examples:
 
@@ -47,6 +48,8 @@ def diff(
         _show(found, str(a), str(b))
     if found.only_a or found.only_b or found.moved:
         raise typer.Exit(EXIT_CHECK_FAILED)
+    if one.skipped or other.skipped:
+        raise typer.Exit(EXIT_PARTIAL)
 
 
 def _show(found: Difference, a: str, b: str) -> None:

@@ -60,6 +60,7 @@ def pack(
             tell=lambda: bar.update(task, advance=1),
             stop=lambda: bool(interrupted),
         )
+    left_out += [f"skipped: {each}" for each in done.left_out]
     if catalogue and not interrupted:
         found = gathered([out], jobs=jobs, monitor=terminal.Watcher(), tell=False)
         left_out += [f"skipped: {path}: {why}" for path, why in found.skipped]

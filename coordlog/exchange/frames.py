@@ -25,53 +25,34 @@ from coordlog.record.chunk import expand
 from coordlog.record.records import MAGIC, walk
 
 _INDEX = np.dtype([("time", "<u8"), ("offset", "<u8")])
+BATCH = 512
+"""Rows that are taken from sqlite3 at a time: few enough to stay in the processor's cache."""
 _HEAD = 9 + 22
 """Bytes of a message record before its payload: opcode, length, channel, sequence, two times."""
 
 
-class Frames(NamedTuple):
-    """All messages of a topic in the order of their log times."""
+class Part(NamedTuple):
+    """Some messages of a topic as they were written: few enough to stay in the cache."""
 
     times: Array
-    """(n,) int64 ns"""
+    """(n,) int64: log times [ns]"""
     groups: list[tuple[Array, Array]]
     """places (m,) and bytes (m, length) uint8 of the messages of one length"""
 
 
-def of_files(files: Sequence[Path], topic: str) -> Frames:
-    """Read a topic from the files of a bag, MCAP or sqlite3.
+def of_files(files: Sequence[Path], topic: str) -> Iterator[Part]:
+    """Read a topic from the files of a bag, MCAP or sqlite3, in the order in which it was written.
+
+    Sorted by their times, the messages of a clock that was set back would be mixed.
 
     Raises:
         FormatError: if a file is damaged, or compresses its messages one by one.
     """
-    times: list[Array] = []
-    rows: list[tuple[Array, Array]] = []
-    count = 0
     for file in files:
-        read = _sqlite3 if file.suffix == ".db3" else _mcap
-        for own, groups in read(file, topic):
-            times.append(own)
-            rows += [(places + count, data) for places, data in groups]
-            count += len(own)
-    whole = np.concatenate(times) if times else np.zeros(0, np.int64)
-    rank = np.empty(count, np.int64)
-    rank[np.argsort(whole, kind="stable")] = np.arange(count)
-    merged: dict[int, list[tuple[Array, Array]]] = {}
-    for places, data in rows:
-        merged.setdefault(data.shape[1], []).append((places, data))
-    if len(rows) == 1:
-        return Frames(np.sort(whole), [(rank[rows[0][0]], rows[0][1])])
-    groups = [
-        (rank[np.concatenate([each[0] for each in parts])], np.concatenate([e[1] for e in parts]))
-        for parts in merged.values()
-    ]
-    return Frames(np.sort(whole), groups)
+        yield from (_sqlite3 if file.suffix.lower() == ".db3" else _mcap)(file, topic)
 
 
-_Part = tuple[Array, list[tuple[Array, Array]]]
-
-
-def _mcap(file: Path, topic: str) -> Iterator[_Part]:
+def _mcap(file: Path, topic: str) -> Iterator[Part]:
     try:
         with file.open("rb") as stream:
             summary = make_reader(stream).get_summary()
@@ -82,24 +63,73 @@ def _mcap(file: Path, topic: str) -> Iterator[_Part]:
             f"{file}: ends without its summary: it was cut off; `mcap recover` mends it"
         )
     channels = {item.id for item in summary.channels.values() if item.topic == topic}
+    found = 0
+    for part in _parts(file, channels):
+        found += len(part.times)
+        yield part
+    if summary.statistics is not None:
+        counts = summary.statistics.channel_message_counts
+        wanted = sum(count for channel, count in counts.items() if channel in channels)
+        if found != wanted:
+            raise FormatError(
+                f"{file}: {topic}: expected {wanted} messages, as its summary says, got {found}: "
+                "`mcap recover` writes it anew"
+            )
+
+
+def _parts(file: Path, channels: set[int]) -> Iterator[Part]:
+    """The messages of some channels: of a chunk at once through its indexes, if it has any."""
     view = memoryview(file.read_bytes())
     chunk = b""
+    indexes: list[memoryview] = []
+    alone: list[tuple[int, bytes]] = []  # messages without an index
     for span in walk(view, len(MAGIC)):
         content = view[span.start : span.end]
+        if span.opcode == Opcode.MESSAGE_INDEX:
+            indexes.append(content)
+            continue
+        if chunk and indexes:
+            own = [each[6:] for each in indexes if _channel(each) in channels]
+            if own:
+                yield _indexed(file, chunk, own)
+        elif chunk:
+            inside = (chunk[s.start : s.end] for s in walk(chunk, 0) if s.opcode == Opcode.MESSAGE)
+            alone += (_message(each) for each in inside if _channel(each) in channels)
+        chunk, indexes = b"", []
+        if span.opcode == Opcode.MESSAGE and _channel(content) in channels:
+            alone.append(_message(content))
+        elif alone:
+            yield _side_by_side(alone)
+            alone = []
         if span.opcode == Opcode.CHUNK:
-            chunk = expand(content, verify=True)
-        elif span.opcode == Opcode.MESSAGE_INDEX:
-            if int.from_bytes(content[:2], "little") in channels:
-                yield _indexed(file, chunk, content)
-        elif span.opcode == Opcode.MESSAGE and int.from_bytes(content[:2], "little") in channels:
-            time = np.array([int.from_bytes(content[6:14], "little")], np.int64)
-            payload = np.frombuffer(content[22:], np.uint8)[None]
-            yield time, [(np.zeros(1, np.int64), payload)]
+            chunk = _expanded(file, content)
 
 
-def _indexed(file: Path, chunk: bytes, content: memoryview) -> _Part:
-    """The messages that a message index points at."""
-    entries = np.frombuffer(content[6:], _INDEX)
+def _channel(content: bytes | memoryview) -> int:
+    return int.from_bytes(content[:2], "little")
+
+
+def _message(content: bytes | memoryview) -> tuple[int, bytes]:
+    """Log time and payload of a message record."""
+    return int.from_bytes(content[6:14], "little"), bytes(content[22:])
+
+
+def _expanded(file: Path, content: memoryview) -> bytes:
+    try:
+        return expand(content, verify=True)
+    except FormatError as error:
+        raise FormatError(f"{file}: {error}") from error
+
+
+def _indexed(file: Path, chunk: bytes, indexes: Sequence[memoryview]) -> Part:
+    """The messages that message indexes point at, in the order in which they stand.
+
+    Indexes may be sorted by time, and there is one for each publisher.
+    """
+    if any(len(index) % _INDEX.itemsize for index in indexes):
+        raise FormatError(f"{file}: a message index that ends within an entry")
+    entries = np.frombuffer(b"".join(indexes), _INDEX)
+    entries = entries[np.argsort(entries["offset"], kind="stable")]
     data = np.frombuffer(chunk, np.uint8)
     offsets = entries["offset"].astype(np.int64)
     if len(offsets) and offsets.max() + _HEAD > len(data):
@@ -108,32 +138,43 @@ def _indexed(file: Path, chunk: bytes, content: memoryview) -> _Part:
     sizes = np.ascontiguousarray(heads).view("<u8")[:, 0].astype(np.int64) - 22
     if len(sizes) and ((sizes < 0).any() or (offsets + _HEAD + sizes > len(data)).any()):
         raise FormatError(f"{file}: a message that is longer than its chunk")
-    return entries["time"].astype(np.int64), [
+    groups = [
         (places, sliding_window_view(data, size)[offsets[places] + _HEAD])
         for size, places in _by_size(sizes)
     ]
+    return Part(entries["time"].astype(np.int64), groups)
 
 
-def _sqlite3(file: Path, topic: str) -> Iterator[_Part]:
+def _sqlite3(file: Path, topic: str) -> Iterator[Part]:
     require_whole(file)
     try:
         connection = sqlite3.connect(f"file:{file}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error as error:
         raise FormatError(f"{file}: {error}") from error
     try:
-        ids = connection.execute("select id from topics where name = ?", (topic,)).fetchall()
-        query = "select timestamp, data from messages where topic_id = ?"
-        found = [row for one in ids for row in connection.execute(query, one).fetchall()]
-    except sqlite3.Error as error:
+        connection.execute(f"pragma mmap_size = {file.stat().st_size}")
+        rows = connection.execute(
+            "select timestamp, data from messages where topic_id in "
+            "(select id from topics where name = ?) order by id",
+            (topic,),
+        )
+        while found := rows.fetchmany(BATCH):
+            yield _side_by_side(found)
+    except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"{file}: not an sqlite3 bag that can be read: {error}") from error
     finally:
         connection.close()
-    sizes = np.array([len(data) for _, data in found], np.int64)
+
+
+def _side_by_side(rows: Sequence[tuple[int, bytes]]) -> Part:
+    """Messages that came one by one, those of one length together."""
+    times, payloads = zip(*rows, strict=True)
+    sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
     groups = []
     for size, places in _by_size(sizes):
-        joined = b"".join(found[i][1] for i in places.tolist())
+        joined = b"".join([payloads[i] for i in places.tolist()])
         groups.append((places, np.frombuffer(joined, np.uint8).reshape(len(places), size)))
-    yield np.array([time for time, _ in found], np.int64), groups
+    return Part(np.array(times, np.int64), groups)
 
 
 def require_whole(file: Path) -> None:

@@ -8,13 +8,14 @@ Source: OMG CDR (XCDR1, little endian); common_interfaces of ROS 2.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import FormatError
-from coordlog.exchange.frames import Frames
+from coordlog.exchange.frames import Part
 from coordlog.exchange.motion import NS
 
 _LITTLE_ENDIAN = (0, 1)
@@ -23,9 +24,11 @@ _ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)
 
 
 class JointStates(NamedTuple):
-    """All joint states of a topic, their columns in the order of the first message's names."""
+    """Joint states of a topic, their columns in the order of the first message's names."""
 
     names: tuple[str, ...]
+    log: Array
+    """(n,) int64: log times [ns]"""
     header: Array
     """(n,) int64: header stamps [ns]"""
     position: Array
@@ -34,20 +37,36 @@ class JointStates(NamedTuple):
     """(n, joints) float64, if every message has it"""
 
 
-def decode(frames: Frames, where: str) -> JointStates:
-    """Decode every message.
+def decode(parts: Iterable[Part], where: str) -> JointStates:
+    """Decode every message, a part at a time, in the order in which they were written.
 
     Raises:
         FormatError: if a message is not a JointState, or is of other joints than the first.
     """
-    count = len(frames.times)
-    if not count:
+    found: list[JointStates] = []
+    count = 0
+    for part in parts:
+        if len(part.times):
+            found.append(_decoded(part, found[0].names if found else (), where, count))
+            count += len(part.times)
+    if not found:
         raise FormatError(f"{where}: expected joint states, got not a single message")
-    header = np.zeros(count, np.int64)
-    names: tuple[str, ...] = ()
-    position = velocity = np.zeros((0, 0))
+    log, header, position = (
+        np.concatenate([getattr(each, name) for each in found])
+        for name in ("log", "header", "position")
+    )
+    speeds = [each.velocity for each in found if each.velocity is not None]
+    velocity = np.concatenate(speeds) if len(speeds) == len(found) else None
+    return JointStates(found[0].names, log, header, position, velocity)
+
+
+def _decoded(part: Part, names: tuple[str, ...], where: str, first: int) -> JointStates:
+    """A part; `first` is the number of its first message, for what is said of it."""
+    count = len(part.times)
+    header = np.empty(count, np.int64)
+    position = velocity = np.empty((count, 0))
     moving = True
-    for places, data in sorted(frames.groups, key=lambda group: int(group[0].min())):
+    for places, data in sorted(part.groups, key=lambda group: int(group[0][0])):
         if (data[:, :4] == _ZSTD).all():
             raise FormatError(
                 f"{where}: expected messages as they are, got each compressed by itself: `ros2 "
@@ -55,32 +74,35 @@ def decode(frames: Frames, where: str) -> JointStates:
             )
         if data.shape[1] < 16 or (data[:, :2] != _LITTLE_ENDIAN).any():
             raise FormatError(
-                f"{where}: message {places[0]}: expected a JointState in little-endian CDR"
+                f"{where}: message {first + places[0]}: expected a JointState in little-endian CDR"
             )
         header[places] = _stamps(data)
         for rows in _alike_counts(data):
-            part = data[rows]
             at = places[rows]
-            own, order, end = _ordered(part, where, at)
-            if not names:
-                names = own
-                position, velocity = np.full((2, count, len(names)), np.nan)
-            columns = _columns(part, end, f"{where}: message {at[0]}")
-            if columns[0].shape[1] != len(own):
-                raise FormatError(
-                    f"{where}: message {at[0]}: expected a position for each of {len(own)} "
-                    f"joints, got {columns[0].shape[1]}"
-                )
-            if not own:
-                raise FormatError(
-                    f"{where}: message {at[0]}: expected joints, got not a single one"
-                )
-            to = _places_among(own, names, order, f"{where}: message {at[0]}")
-            position[at[:, None], to] = columns[0]
+            own, order, columns = _table(data[rows], where, first + at)
+            if not position.shape[1]:
+                names = names or own
+                position, velocity = np.empty((2, count, len(names)))
+            to = _places_among(own, names, order, f"{where}: message {first + at[0]}")
+            _put(position, at, to, columns[0])
             moving = moving and columns[1].shape == columns[0].shape
             if moving:
-                velocity[at[:, None], to] = columns[1]
-    return JointStates(names, header, position, velocity if moving else None)
+                _put(velocity, at, to, columns[1])
+    return JointStates(names, part.times, header, position, velocity if moving else None)
+
+
+def _table(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array, list[Array]]:
+    """Names, their order and the columns of messages whose frame name is as long."""
+    where = f"{topic}: message {at[0]}"
+    own, order, end = _ordered(data, topic, at)
+    columns = _columns(data, end, where)
+    if columns[0].shape[1] != len(own):
+        raise FormatError(
+            f"{where}: expected a position for each of {len(own)} joints, got {columns[0].shape[1]}"
+        )
+    if not own:
+        raise FormatError(f"{where}: expected joints, got not a single one")
+    return own, order, columns
 
 
 def _stamps(data: Array) -> Array:
@@ -95,15 +117,14 @@ def _alike_counts(data: Array) -> list[Array]:
 
 
 def _ordered(data: Array, topic: str, at: Array) -> tuple[tuple[str, ...], Array, int]:
-    """Names of the first row, each row's names as places among them (n, joints), and where the
-    names end.
+    """Names of the first row, each row's names as places among them (n, joints), or (joints,) if
+    all rows have one order, and where the names end.
     """
     where = f"{topic}: message {at[0]}"
     start = _aligned(16 + int(np.ascontiguousarray(data[0, 12:16]).view("<u4")[0]))
     names, end = _names(data[0].tobytes(), start, where)
     if (data[:, start:end] == data[0, start:end]).all():
-        order = np.broadcast_to(np.arange(len(names)), (len(data), len(names)))
-        return names, order, end
+        return names, np.arange(len(names)), end
     region = np.ascontiguousarray(data[:, start:end])
     rows, first, inverse = np.unique(
         region.view(f"V{end - start}")[:, 0], return_index=True, return_inverse=True
@@ -156,6 +177,15 @@ def _places_among(own: tuple[str, ...], names: tuple[str, ...], order: Array, wh
     if set(own) != set(names) or len(own) != len(names):
         _refuse(own, names, where)
     return np.array([names.index(name) for name in own], np.int64)[order]
+
+
+def _put(out: Array, at: Array, to: Array, values: Array) -> None:
+    """Put rows of values where they belong: row by row where all have one order."""
+    if to.ndim > 1:
+        out[at[:, None], to] = values
+        return
+    straight = (to == np.arange(len(to))).all()
+    out[at] = values if straight else values[:, np.argsort(to)]
 
 
 def _refuse(own: tuple[str, ...], names: tuple[str, ...], where: str) -> None:

@@ -97,6 +97,8 @@ def mapped(motion: Motion, given: JointMap) -> Motion:
                 raise ConfigError(
                     f"--joints: {name}: not in {motion}{_nearest(name, motion.names)}"
                 )
+    if given == JointMap():
+        return motion
     kept = [i for i, name in enumerate(motion.names) if given.joints.get(name, name)]
     scale = np.array([given.scale.get(motion.names[i], 1.0) for i in kept])
     offset = np.array([given.offset.get(motion.names[i], 0.0) for i in kept])

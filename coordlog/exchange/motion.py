@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,13 +62,13 @@ class Motion:
         """File and place, for a message."""
         return f"{self.source}: {self.place}"
 
-    @property
+    @cached_property
     def timing(self) -> Timing:
         """What the clock did."""
         return timing(self.stamps)
 
-    def rows(self, chosen: Array) -> Motion:
-        """Some of the samples; `chosen` are indices or a mask."""
+    def rows(self, chosen: Array | slice) -> Motion:
+        """Some of the samples; `chosen` are indices, a mask or a slice."""
         return replace(
             self,
             stamps=self.stamps[chosen],
@@ -145,8 +146,8 @@ def require_usable(motion: Motion) -> None:
     """
     if not len(motion):
         raise FormatError(f"{motion}: expected joint positions, got not a single sample")
-    bad = np.argwhere(~np.isfinite(motion.position))
-    if len(bad):
+    if not np.isfinite(motion.position).all():
+        bad = np.argwhere(~np.isfinite(motion.position))
         row, joint = bad[0].tolist()
         raise FormatError(
             f"{motion}: sample {row}: joint {motion.names[joint]}: expected a number, got "
@@ -156,7 +157,8 @@ def require_usable(motion: Motion) -> None:
     back = motion.timing.backwards
     if back:
         at = back[0]
-        other = "--stamps chooses another clock, " if motion.format == "rosbag2" else ""
+        bag = motion.format == "rosbag2" and motion.clock != "time_from_start"
+        other = "--stamps chooses another clock, " if bag else ""
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
             f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "
@@ -192,8 +194,9 @@ def prepared(
         cuts[np.searchsorted(motion.stamps, starts[starts <= motion.stamps[-1]])] = True
     edges = [0, *(i for i in np.flatnonzero(cuts).tolist() if i), len(motion)]
     for first, stop in itertools.pairwise(edges):
-        piece = motion.rows(np.arange(first, stop))
-        require_usable(piece)
+        piece = motion if stop - first == len(motion) else motion.rows(slice(first, stop))
+        if split_clock:
+            require_usable(piece)
         repeated = piece.timing.duplicates
         if repeated:
             fresh = np.ones(len(piece), bool)

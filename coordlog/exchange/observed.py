@@ -59,12 +59,9 @@ def observe(
     """
     placed = _placed(motion, robot)
     length = len(motion) - 1
-    qpos = np.tile(placed.qpos, (length + 1, 1))
-    qvel = np.zeros((length + 1, placed.n_v))
     velocity, made = _velocity(motion)
-    for i, joint in enumerate(placed.joints):
-        qpos[:, joint.qpos] = motion.position[:, i]
-        qvel[:, joint.qvel] = velocity[:, i]
+    qpos = _spread(motion.position, [joint.qpos for joint in placed.joints], placed.qpos)
+    qvel = _spread(velocity, [joint.qvel for joint in placed.joints], np.zeros(placed.n_v))
     action = motion.position[1:] if motion.action is None else motion.action[:-1]
     truncated = np.zeros(length, bool)
     truncated[-1:] = True
@@ -109,6 +106,15 @@ def _placed(motion: Motion, robot: RobotModel | None) -> Placed:
         return Placed(joints, np.zeros(len(joints)), len(joints))
     known = joints_of(robot.model)
     return Placed([known[name] for name in motion.names], robot.rest, int(robot.model.nv))
+
+
+def _spread(values: Array, places: list[int], rest: Array) -> Array:
+    """Columns (N, joints) at their places (N, n); what has none is at rest."""
+    if places == list(range(len(rest))):
+        return values
+    whole = np.tile(rest, (len(values), 1))
+    whole[:, places] = values
+    return whole
 
 
 def _velocity(motion: Motion) -> tuple[Array, str]:

@@ -133,7 +133,7 @@ def encode(
     dtype, n = _record_dtype(codec), len(log_time)
     head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, dtype.itemsize - RECORD_HEAD.size, channel)
     template = head.ljust(PREFIX_SIZE, b"\0") + codec.template
-    rows = np.frombuffer(bytearray(template * n), dtype)
+    rows = np.repeat(np.frombuffer(template, dtype), n)
     rows["sequence"], rows["log_time"], rows["publish_time"] = sequence, log_time, log_time
     codec.encode(rows["payload"], columns)
     return Batch(channel, log_time, Rows(rows))

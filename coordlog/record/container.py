@@ -2,7 +2,8 @@
 
 Layout of every file: magic, Header, metadata and attachments known at the start, chunks each
 followed by its message indexes, the closing metadata, DataEnd with the CRC of everything so far,
-the summary, the footer, magic.
+the summary, the footer, magic. The closing metadata hold the CRCs of all that is before and after
+them.
 
 Source: MCAP specification, mcap.dev/spec.
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
@@ -27,7 +28,7 @@ from mcap.records import (
 )
 
 from coordlog.record.chunk import COMPRESSION, Chunk
-from coordlog.record.records import FOOTER, MAGIC, RECORD_HEAD, pack, pack_metadata
+from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, pack, pack_metadata
 
 PROFILE = "ros2"
 """MCAP's name for ros2msg schemas with CDR payloads; readers of ROS 2 bags ask for it."""
@@ -124,16 +125,36 @@ class Container:
         self._append(chunk.record)
         self._append(chunk.message_index)
 
+    def commit(self, name: str, marker: Callable[[int, int], Mapping[str, str]]) -> None:
+        """Append the closing metadata, and `finish`.
+
+        Args:
+            name: Name of the record.
+            marker: Makes it, of equal length each time, from the CRC-32 of all bytes before it and
+                that of the summary.
+        """
+        before, size = self._crc, len(pack_metadata(name, marker(0, 0)))
+        self._metadata.append(MetadataIndex(offset=self._position, length=size, name=name))
+        summary, crc = self._summary(self._position + size + DATA_END.size)
+        self._append(pack_metadata(name, marker(before, crc)))
+        self._end(summary, crc)
+
     def finish(self) -> None:
         """Append the end of the data section, the summary, the footer and the closing magic."""
+        self._end(*self._summary(self._position + DATA_END.size))
+
+    def _end(self, summary: bytes, crc: int) -> None:
         self._append(pack(DataEnd(self._crc)))
-        start = self._position
+        self._append(summary + struct.pack("<I", crc) + MAGIC)
+
+    def _summary(self, start: int) -> tuple[bytes, int]:
+        """The summary that starts at a byte of the file, up to its CRC, and that."""
         summary, offsets = summary_of(self._summary_groups(), start)
         footer = FOOTER.pack(
             Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size, start, start + len(summary), 0
         )[:-4]
-        crc = zlib.crc32(summary + offsets + footer)
-        self._append(summary + offsets + footer + struct.pack("<I", crc) + MAGIC)
+        whole = summary + offsets + footer
+        return whole, zlib.crc32(whole)
 
     def _summary_groups(self) -> dict[int, bytes]:
         return {

@@ -208,13 +208,18 @@ def contents(data: bytes, *, verify: bool = True, rows: bool = False) -> Content
     return found
 
 
+def room_of(size: int) -> int:
+    """Bytes that all chunks of a file of `size` bytes may expand to."""
+    return min(MOST, size * RATIO + SPARE)
+
+
 def require_room(view: memoryview, spans: list[Span]) -> None:
     """Hold what all chunks of a file say that they expand to to its size, before one of them is.
 
     Raises:
         FormatError: if that is more than an episode can be.
     """
-    room = min(MOST, len(view) * RATIO + SPARE)
+    room = room_of(len(view))
     chunks = (view[span.start : span.end] for span in spans if span.opcode == Opcode.CHUNK)
     total = sum(map(uncompressed_size, chunks))
     if total > room:

@@ -74,6 +74,7 @@ class Dataset(Sequence[Episode]):
         """For use by `open`."""
         self.paths, self.parts = paths, parts
         self.skipped: list[Skipped] = []
+        self._broken: set[Path] = set()
         self._skip_broken = skip_broken
 
     def __len__(self) -> int:
@@ -130,7 +131,8 @@ class Dataset(Sequence[Episode]):
         except (FormatError, StorageError) as error:
             if not self._skip_broken:
                 raise
-            if path not in (skipped.path for skipped in self.skipped):
+            if path not in self._broken:
+                self._broken.add(path)
                 self.skipped.append(Skipped(path, str(error).removeprefix(f"{path}: ")))
             return None
 

@@ -161,6 +161,9 @@ COMMIT: dict[str, Rule] = {
     "metadata": Rule("an object of digests", _is_mapping(_is_text)),
     "attachments": Rule("an object of digests", _is_mapping(_is_text)),
     "messages": Rule("an object of [count, crc]", _is_mapping(_is_list(_is_whole(0, 1 << 62)))),
+    "bytes": Rule(
+        "two CRCs of eight digits", lambda value: _is_texts(value) and len(value) == 2, False
+    ),
     "seal": TEXT,
 }
 """What the result holds besides since version 2: what it vouches for."""

@@ -27,6 +27,7 @@ SUFFIX = ".manifest"
 EDITION = 1
 
 _RULE = "---"
+_MOST, _DIGITS = 1 << 53, 20  # more than a head can count, and digits of a size or a time
 
 
 class Chosen(NamedTuple):
@@ -139,7 +140,7 @@ def decode(data: bytes) -> Manifest:
         first, rule, *lines = data.decode().removesuffix("\n").split("\n")
         head = json.loads(first)
         edition = head["coordlog_manifest"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         what = recognise(data, texts=False)
         raise FormatError(
             f"not a manifest{what and ', got '}{what}; `coordlog select` writes them"
@@ -147,7 +148,7 @@ def decode(data: bytes) -> Manifest:
     if edition != EDITION:
         raise FormatError(f"manifest of edition {edition}; this release reads edition {EDITION}")
     try:
-        if rule != _RULE or not data.endswith(b"\n"):
+        if rule != _RULE or not data.endswith(b"\n") or not _is_sound(head):
             raise ValueError
         manifest = Manifest(
             name=head["name"],
@@ -166,8 +167,22 @@ def decode(data: bytes) -> Manifest:
     return manifest
 
 
+def _is_sound(head: dict[str, Any]) -> bool:
+    """Whether every value of a manifest's head is of its type."""
+    texts = [head[name] for name in ("name", "parent", "hash")]
+    counts = [head[name] for name in ("version", "episodes")]
+    about = head["about"]
+    if not isinstance(about, dict) or not isinstance(about.get("sources", []), list):
+        return False
+    texts += about.get("sources", [])
+    numbered = all(type(count) is int and 0 <= count < _MOST for count in counts)
+    return numbered and all(isinstance(text, str) and "\0" not in text for text in texts)
+
+
 def _chosen(line: str) -> Chosen:
     digest, part, label, size, mtime, path = line.split("\t")
+    if len(size) > _DIGITS or len(mtime) > _DIGITS or int(size) < 0 or "\0" in line:
+        raise ValueError
     return Chosen(digest, part, label, int(size), int(mtime), path)
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import struct
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import lru_cache
@@ -35,6 +36,13 @@ _TABLES = {
 }
 
 Strings = Mapping[str, str]
+
+_parse = json.JSONDecoder().decode
+_SPACE = " \t\n\r"
+_WORDS = {"null": None, "true": True, "false": False, "NaN": math.nan, "Infinity": math.inf}
+_WHOLE = re.compile(r"(0|[1-9][0-9]*)\Z")
+_NUMBER = re.compile(rf"(0|[1-9][0-9]*)(\.[0-9]+)?([eE][+-]?[0-9]+)?[{_SPACE}]*\Z")
+"""JSON that begins with a letter, or a digit: most texts are neither, and failing is slow."""
 
 
 def encode(values: Json) -> dict[str, str]:
@@ -64,10 +72,15 @@ def _encode_value(key: str, value: Any) -> str:
 
 
 def _decode_value(text: str) -> Any:
-    if text[:1].isalpha() and text[0] not in "ntfNI":  # no JSON begins so
-        return text
+    first = text[:1]
+    if first.isalpha() or not first:
+        return _WORDS.get(text.rstrip(_SPACE), text)
     try:
-        return json.loads(text)
+        if first.isdigit() and not _WHOLE.match(text):
+            return _parse(text) if _NUMBER.match(text) else text  # a digest, say
+        if first.isdigit():
+            return int(text)
+        return _parse(text)
     except (ValueError, RecursionError):
         return text
 
@@ -103,11 +116,12 @@ def require_readable(records: Mapping[str, Strings]) -> None:
         _require_declared(name, tuple(records[name].items()))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _require_declared(name: str, items: tuple[tuple[str, str], ...]) -> None:
     """Most records are the same for all episodes of a run: judge them once."""
-    values = decode(dict(items))
-    declared.require(values, _TABLES[name], name)
+    table = _TABLES[name]
+    values = decode({key: text for key, text in items if key in table})
+    declared.require(values, table, name)
     if name == ENV:
         declared.require(values["layout"], declared.LAYOUT, f"{ENV} layout")
         _require_env(values)
@@ -203,7 +217,7 @@ def decode_result(strings: Strings) -> Result:
     Raises:
         FormatError: if a key is missing or holds a value of another type.
     """
-    values = decode(strings)
+    values = decode({key: strings[key] for key in declared.RESULT if key in strings})
     declared.require(values, declared.RESULT, RESULT)
     values["returns"] = tuple(values["returns"])
     return Result(**{item.name: values[item.name] for item in fields(Result)})
@@ -213,8 +227,8 @@ def digest(values: Strings) -> str:
     """sha256 of a metadata record: of its keys and values in the order of keys, each preceded by
     its length as uint32.
     """
-    parts = (text.encode() for pair in sorted(values.items()) for text in pair)
-    packed = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+    parts = [text.encode() for pair in sorted(values.items()) for text in pair]
+    packed = b"".join([len(part).to_bytes(4, "little") + part for part in parts])
     return hashlib.sha256(packed).hexdigest()
 
 
@@ -225,7 +239,8 @@ def encode_commit(
     attachments: Mapping[str, str],
     messages: Mapping[str, tuple[int, int]],
 ) -> dict[str, str]:
-    """The string map of the commit marker: the result, what it vouches for, and its own seal.
+    """The string map of the commit marker, to be `sealed`: the result, and what it vouches for
+    whatever container that stands in.
 
     Args:
         result: How the episode ended.
@@ -233,14 +248,31 @@ def encode_commit(
         attachments: sha256 of each attachment, by name.
         messages: Count and CRC-32 of the payloads of each topic that is not for looking alone.
     """
-    strings = encode_result(result) | encode(
+    return encode_result(result) | encode(
         {
             "metadata": {name: digest(values) for name, values in metadata.items()},
             "attachments": dict(attachments),
             "messages": {topic: list(pair) for topic, pair in messages.items()},
         }
     )
+
+
+def sealed(marker: Strings, before: int, summary: int) -> dict[str, str]:
+    """A commit marker with what it says of the bytes around it, and its own seal; of one length
+    whatever the numbers.
+
+    Args:
+        marker: From `encode_commit`.
+        before: CRC-32 of all bytes of the file before the marker's record.
+        summary: CRC-32 of its summary, as the footer has it.
+    """
+    strings = {**marker, "bytes": bytes_text(before, summary)}
     return strings | {"seal": digest(strings)}
+
+
+def bytes_text(before: int, summary: int) -> str:
+    """What a commit marker says of the bytes before it and of the summary: their CRCs."""
+    return f'["{before:08x}","{summary:08x}"]'
 
 
 def vouched(records: Mapping[str, Strings]) -> Json:
@@ -265,4 +297,5 @@ def vouched(records: Mapping[str, Strings]) -> Json:
             raise FormatError(f"metadata {name} missing: the commit marker names it")
         if digest(records[name]) != wanted:
             raise FormatError(f"metadata {name}: the record is damaged: its digest is another")
-    return {key: values[key] for key in ("metadata", "attachments", "messages")}
+    kinds = ("metadata", "attachments", "messages", "bytes")
+    return {key: values[key] for key in kinds if key in values}

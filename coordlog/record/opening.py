@@ -14,7 +14,6 @@ import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from mcap.opcode import Opcode
 
@@ -69,18 +68,19 @@ def opened(path: File) -> Iterator[int]:
     """
     if not is_text(path):
         raise StorageError(f"{os.fspath(path)}: {NO_TEXT}")
-    with naming(path), translated(Path(path), "read"):
+    with naming(path), translated(path, "read"):
         if is_elsewhere(path):
             with tempfile.TemporaryFile() as copy:
                 copy.write(fetch(path))
                 copy.flush()
                 yield copy.fileno()
             return
-        if os.path.isdir(path):
-            raise FormatError("a folder, not an episode file; coordlog.open reads folders")
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # of a pipe: no wait
         try:
-            if not stat.S_ISREG(os.fstat(fd).st_mode):
+            mode = os.fstat(fd).st_mode
+            if stat.S_ISDIR(mode):
+                raise FormatError("a folder, not an episode file; coordlog.open reads folders")
+            if not stat.S_ISREG(mode):
                 raise FormatError("expected a file, got a pipe, a socket or a device")
             yield fd
         finally:

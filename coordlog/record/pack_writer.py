@@ -80,9 +80,9 @@ class PackWriter:
             raise StorageError(
                 f"{self.path}: the pack has a member {name} and replaces none; choose another name"
             )
+        head = _head(name, len(data), mtime)
         if self._fd < 0:
             self._begin()
-        head = _head(name, len(data), mtime)
         padding = bytes(-len(data) % BLOCK)
         with translated(self._shard, "write", "what was packed before is intact"):
             try:
@@ -150,9 +150,14 @@ class PackWriter:
         Folder(self.path).create(name, encode_index(self._members))
 
 
+def fits(name: str) -> bool:
+    """Whether a pack can hold a member of this name: relative, and of one line."""
+    return not ("\n" in name or "\0" in name or name.startswith("/"))
+
+
 def _head(name: str, size: int, mtime: int) -> bytes:
     """The tar header of a file, the same for the same file whoever packs it."""
-    if "\n" in name or "\0" in name or name.startswith("/"):
+    if not fits(name):
         raise StorageError(f"{name!r}: a member's name must be relative and of one line")
     info = tarfile.TarInfo(name)
     info.size, info.mtime = size, mtime

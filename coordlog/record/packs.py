@@ -28,6 +28,7 @@ from coordlog.record.places import Entry, Folder, Place
 SHARD, INDEX = ".tar", ".index"
 
 _NAME = re.compile(r"^shard-\d{6,}\.tar$")
+_LINE = re.compile(r"(\d{1,15}) (\d{1,15}) ([0-9a-f]{64}) (-?\d{1,12}) (.+)", re.ASCII)
 BLOCK = tarfile.BLOCKSIZE
 
 
@@ -133,7 +134,14 @@ def _index(ref: _Ref, shard: Entry, beside: Entry | None) -> Index:
     """Sizes and times are part of the key: a shard that has grown is looked at again."""
     if beside is None:
         return scan(ref.place, shard)
-    return decode_index(ref.place.read(beside.name), f"{ref.place.address}/{beside.name}")
+    where = f"{ref.place.address}/{beside.name}"
+    found = decode_index(ref.place.read(beside.name), where)
+    if any(member.start + member.size > shard.size for member in found.members):
+        raise FormatError(
+            f"{where}: members that lie beyond the shard's end: it was cut off, or the index is of "
+            "another; delete the index, and the shard is searched"
+        )
+    return found
 
 
 def scan(place: Place, shard: Entry) -> Index:
@@ -209,7 +217,7 @@ def encode_index(members: list[Member]) -> bytes:
     lines = [
         f"{each.start} {each.size} {each.digest} {each.mtime} {each.name}\n" for each in members
     ]
-    body = "".join(lines).encode()
+    body = "".join(lines).encode(errors="surrogateescape")
     return body + f"sha256 {hashlib.sha256(body).hexdigest()}\n".encode()
 
 
@@ -222,11 +230,16 @@ def decode_index(data: bytes, where: str) -> Index:
     body, found, seal = data.rpartition(b"sha256 ")
     if not found or seal.decode("ascii", "replace") != hashlib.sha256(body).hexdigest() + "\n":
         raise FormatError(f"{where}: the index is damaged; delete it, and the shard is searched")
-    members = []
-    for line in body.decode().split("\n")[:-1]:
-        start, size, digest, mtime, name = line.split(" ", 4)
-        members.append(Member(int(start), int(size), digest, int(mtime), name))
-    return Index(tuple(members), 0)
+    lines = body.decode(errors="surrogateescape").split("\n")
+    members = [_LINE.fullmatch(line) for line in lines[:-1]]
+    if not all(members) or lines[-1]:
+        raise FormatError(
+            f"{where}: expected lines of start, size, sha256, time and name; delete it, and the "
+            "shard is searched"
+        )
+    return Index(
+        tuple(Member(int(m[1]), int(m[2]), m[3], int(m[4]), m[5]) for m in members if m), 0
+    )
 
 
 def members_of(pack: Pack) -> Iterator[tuple[str, Member]]:

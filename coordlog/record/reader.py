@@ -158,7 +158,7 @@ def _whole(fd: int, size: int) -> bytes:
     return read(fd, 0, size)
 
 
-def metadata(data: bytes) -> dict[str, Mapping[str, str]]:
+def metadata(data: bytes | memoryview) -> dict[str, Mapping[str, str]]:
     """Every metadata record of a file, as it stands there.
 
     Raises:

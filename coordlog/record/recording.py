@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
+import zlib
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -17,8 +19,11 @@ from coordlog.record.decoding import decode, require_header
 from coordlog.record.metadata import (
     EPISODE,
     RESULT,
+    bytes_text,
     decode_header,
     decode_result,
+    digest,
+    require_readable,
     require_version,
     vouched,
 )
@@ -30,12 +35,27 @@ from coordlog.record.opening import (
     no_marker,
     require_coordlog,
     rewritten_by,
+    summary_start,
+    writer_of,
 )
 from coordlog.record.reader import attachments, metadata
-from coordlog.record.records import Span, unpack_metadata, walk
+from coordlog.record.records import (
+    DATA_END,
+    FOOTER,
+    MAGIC,
+    RECORD_HEAD,
+    TAIL_SIZE,
+    Span,
+    unpack_metadata,
+    walk,
+)
+from coordlog.record.writer import LIBRARY
 
 if TYPE_CHECKING:
     import mujoco
+
+_MARKER_INDEX = struct.Struct(f"<BQQQI{len(RESULT)}s")
+"""Entry of the commit marker, the last metadata record, in a summary."""
 
 
 class Recording:
@@ -90,16 +110,30 @@ class Recording:
         return list(walk(self.data))
 
     @cached_property
+    def untouched(self) -> bool:
+        """Whether its commit marker vouches for every byte of the file, and the metadata can be
+        read; False of files whose marker says nothing of bytes: those of earlier releases.
+        """
+        try:
+            return _untouched(memoryview(self.data))
+        except FormatError:
+            return False
+
+    @cached_property
     def rewritten(self) -> str:
         """The program that wrote the file's bytes anew; "" if coordlog did."""
-        return "" if is_own(self.data, self.spans) else rewritten_by(self.data)
+        own = self.untouched or is_own(self.data, self.spans)
+        return "" if own else rewritten_by(self.data)
 
     @cached_property
     def observed(self) -> bool:
         """Whether its file says that it came from outside, before anything vouches for that."""
-        records = (span for span in self.spans if span.opcode == Opcode.METADATA)
-        named = (unpack_metadata(self.data[span.start : span.end]) for span in records)
-        return any(name == EPISODE and said.get("kind") == KINDS[1] for name, said in named)
+        for span in walk(self.data):
+            if span.opcode == Opcode.METADATA:
+                name, said = unpack_metadata(self.data[span.start : span.end])
+                if name == EPISODE:
+                    return said.get("kind") == KINDS[1]
+        return False
 
     @cached_property
     def header(self) -> Header:
@@ -189,3 +223,47 @@ class Recording:
             raise TruncatedError(no_marker(len(self.data)))
         vouched(found)
         return {name: dict(values) for name, values in found.items()}
+
+
+def _untouched(view: memoryview) -> bool:
+    """Whether all bytes of a file are those that coordlog wrote when it committed the episode.
+
+    The marker, sealed, holds CRCs of what is before it and of the summary; the end of the data
+    section holds that of the rest. A tool that changes bytes and writes right CRCs anew does not
+    write those of the marker.
+    """
+    size = len(view)
+    start = summary_start(view[-TAIL_SIZE:], size)
+    stop, (*_, offsets, stored) = (
+        start - DATA_END.size,
+        FOOTER.unpack_from(view, size - TAIL_SIZE),
+    )
+    entry = offsets - _MARKER_INDEX.size
+    if not start <= entry <= size - TAIL_SIZE - _MARKER_INDEX.size:
+        return False
+    opcode, _, at, length, _, name = _MARKER_INDEX.unpack_from(view, entry)
+    if (opcode, name) != (Opcode.METADATA_INDEX, RESULT.encode()) or at + length != stop:
+        return False
+    head = RECORD_HEAD.pack(Opcode.METADATA, length - RECORD_HEAD.size)
+    if view[at : at + RECORD_HEAD.size] != head:
+        return False
+    name, marker = unpack_metadata(bytes(view[at + RECORD_HEAD.size : stop]))
+    before = zlib.crc32(view[:at])
+    end = DATA_END.pack(
+        Opcode.DATA_END, DATA_END.size - RECORD_HEAD.size, zlib.crc32(view[at:stop], before)
+    )
+    summary = zlib.crc32(view[start : size - len(MAGIC) - 4])
+    said = {key: value for key, value in marker.items() if key != "seal"}
+    if (
+        name != RESULT
+        or said.get("bytes") != bytes_text(before, summary)
+        or (view[stop:start], stored) != (end, summary)
+        or marker.get("seal") != digest(said)
+    ):
+        return False
+    if writer_of(view) != LIBRARY:  # this release holds what it writes to the same tables
+        records = metadata(view)
+        require_header(records)
+        require_readable(records)
+        decode_result(marker)
+    return True

@@ -25,6 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, summary crc
 DATA_END = struct.Struct("<BQI")  # opcode, length, crc of the data section
 TAIL_SIZE = FOOTER.size + len(MAGIC)
+_size = struct.Struct("<I").unpack_from
 
 
 class Span(NamedTuple):
@@ -77,7 +78,7 @@ def unpack_header(content: bytes | memoryview) -> tuple[str, str]:
     return profile, _string(content, at)[0]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     """Name and string map of a metadata record; most of them are the same in every file of a run.
 
@@ -86,15 +87,22 @@ def unpack_metadata(content: bytes) -> tuple[str, Mapping[str, str]]:
     """
     name, at = _string(content, 0)
     (size,) = _unpack("<I", content, at)
-    values, at = {}, at + 4
-    if at + size != len(content):
-        raise FormatError(
-            f"metadata {name!r}: expected {len(content) - at} bytes of values, got {size}"
-        )
-    while at < len(content):
-        key, at = _string(content, at)
-        values[key], at = _string(content, at)
-    return name, MappingProxyType(values)
+    texts, at, stop = [], at + 4, len(content)
+    if at + size != stop:
+        raise FormatError(f"metadata {name!r}: expected {stop - at} bytes of values, got {size}")
+    while at < stop or (at == stop and len(texts) % 2):
+        start = at + 4
+        if start > stop:
+            raise FormatError(f"record of {stop} bytes ends within a field")
+        at = start + _size(content, at)[0]
+        texts.append(content[start:at])
+    if at != stop:
+        raise FormatError(f"record of {stop} bytes ends within a field")
+    try:
+        values = [text.decode() for text in texts]
+    except UnicodeDecodeError as error:
+        raise FormatError(f"text that is not UTF-8: {error}") from None
+    return name, MappingProxyType(dict(zip(values[::2], values[1::2], strict=True)))
 
 
 def unpack_attachment(content: memoryview) -> tuple[str, bytes]:

@@ -23,7 +23,7 @@ _NO_HARD_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, er
 
 
 @contextmanager
-def translated(path: Path, doing: str, advice: str = "") -> Iterator[None]:
+def translated(path: str | os.PathLike[str], doing: str, advice: str = "") -> Iterator[None]:
     """Turn an OSError into a StorageError: what could not be done to which file, why, and what to
     do.
     """

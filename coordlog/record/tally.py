@@ -71,7 +71,7 @@ class Tally:
 
     def add_states(self, columns: Mapping[str, Array]) -> None:
         """Add the bytes of qpos and qvel, row by row, to the digest."""
-        self._digest.update(np.concatenate([columns["qpos"], columns["qvel"]], axis=1).tobytes())
+        self._digest.update(np.concatenate([columns["qpos"], columns["qvel"]], axis=1).ravel())
 
     def result(self, aborted: str) -> Result:
         """The result so far."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
 from types import TracebackType
@@ -23,7 +24,13 @@ from coordlog.record.chunk import Batch, compose
 from coordlog.record.container import Container
 from coordlog.record.decoding import payload_crc
 from coordlog.record.messages import Columns, Encoder
-from coordlog.record.metadata import RESULT, encode_commit, encode_header, require_readable
+from coordlog.record.metadata import (
+    RESULT,
+    encode_commit,
+    encode_header,
+    require_readable,
+    sealed,
+)
 from coordlog.record.storage import PartFile
 from coordlog.record.tally import Tally
 from coordlog.record.topics import is_logged, topics
@@ -190,16 +197,13 @@ class EpisodeWriter:
         self._tally.add_states(row)
         result = self._tally.result(aborted)
         self._add(batches)
-        self._container.add_metadata(
-            RESULT,
-            encode_commit(
-                result,
-                metadata=self._metadata,
-                attachments=self._attached,
-                messages=self._messages,
-            ),
+        marker = encode_commit(
+            result,
+            metadata=self._metadata,
+            attachments=self._attached,
+            messages=self._messages,
         )
-        self._container.finish()
+        self._container.commit(RESULT, partial(sealed, marker))
         self._flush()
         return result
 

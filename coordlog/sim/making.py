@@ -46,8 +46,8 @@ def make_env(
         threads: Threads to simulate on.
         like: A `coordlog.env` record whose constants hold where the tables say nothing: those of
             the logs, or of a policy's training.
-        doubts: Told what is doubtful about reward constants that the tables name, and about the
-            robot.
+        doubts: Told what is doubtful about reward constants that the tables name, and about a
+            robot that does not ship with coordlog.
 
     Raises:
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
@@ -57,7 +57,7 @@ def make_env(
     from coordlog.sim.settling import doubts as doubtful
     from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.registry import SAID
-    from coordlog.tasks.scene import find
+    from coordlog.tasks.scene import SCENES, find
 
     for name in tables:
         if name not in TABLES:
@@ -79,6 +79,8 @@ def make_env(
     )
     if doubts is not None:
         said = reward.doubts(steps=constants.max_steps) if "reward" in tables else []
-        for doubt in [*said, *doubtful(place.robot, env.task.model)]:
+        if SCENES.get(place.name) is not place:  # of those that ship, the pages tell
+            said += doubtful(place.robot, env.task.model)
+        for doubt in said:
             doubts(doubt)
     return env

@@ -18,7 +18,7 @@ from coordlog.path import Floats
 GAP = 10.0
 """Spacings longer than this many typical ones do not count towards the typical one."""
 _BLOCK = 8  # samples: publishers taking turns, up to so many, look uniform over such a stretch
-_A_DAY = 86400.0  # s: no joint is sampled once a day; such numbers are nanoseconds or the like
+_SELDOM = 1e3  # s: no joint is sampled so seldom; such numbers are microseconds or the like
 _NEVER = (
     1e11  # s: three thousand years; such stamps count thousandths of seconds since 1970, or less
 )
@@ -77,7 +77,7 @@ def seconds(time: ArrayLike) -> Floats:
         )
     if found[0] == found[-1]:
         raise SpecError("time: expected at least two distinct times, all are the same")
-    _require_resolution(found)
+    _require_resolution(found, was=array.dtype)
     return found
 
 
@@ -118,22 +118,27 @@ def _of_objects(array: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], str]
     )
 
 
-def _require_resolution(time: Floats) -> None:
-    """Refuse times that were rounded to float32, or that cannot be seconds."""
+def _require_resolution(time: Floats, *, was: np.dtype[Any]) -> None:
+    """Refuse times that were rounded to few digits, or that cannot be seconds."""
     moved = time[np.append(True, np.diff(time) > 0.0)]
     typical, largest = spacing(moved), float(np.abs(time).max())
-    if largest > _NEVER or not _INSTANT < typical < _A_DAY:
+    if largest > _NEVER or not _INSTANT < typical < _SELDOM:
         raise SpecError(
             f"time: samples are {typical:.3g} apart, the largest is {largest:.3g}, which cannot be "
             "seconds; if these are nanoseconds, pass time * 1e-9 or "
             "time.astype('timedelta64[ns]'), milliseconds, time * 1e-3"
         )
-    narrow = time.astype(np.float32)
+    for kind in (np.float16, np.float32) if was == np.float16 else (np.float32,):
+        _require_finer(time, kind, shared=len(time) - len(moved))
+
+
+def _require_finer(time: Floats, kind: type[np.floating[Any]], *, shared: int) -> None:
+    """Refuse times that are numbers of a narrow kind, if those lie far apart there."""
+    narrow = time.astype(kind)
     step = float(np.spacing(np.abs(narrow).max()))
     if (narrow == time).all() and step > _COARSE * (time[-1] - time[0]) / (len(time) - 1):
-        shared = len(time) - len(moved)
         raise SpecError(
-            f"time: these are float32 numbers, which lie {step:.3g} s apart at {time[-1]:.6g} s: "
-            f"{shared} of {len(time)} samples share a time with another "
-            f"({len(moved)} distinct times); pass float64 seconds, or datetime64"
+            f"time: these are {kind.__name__} numbers, which lie {step:.3g} s apart at "
+            f"{time[-1]:.6g} s: {shared} of {len(time)} samples share a time with another "
+            f"({len(time) - shared} distinct times); pass float64 seconds, or datetime64"
         )

@@ -16,6 +16,7 @@ from coordlog.episode import Header
 from coordlog.errors import FormatError
 from coordlog.record.cdr import message_codec
 from coordlog.record.chunk import PREFIX_SIZE, expand
+from coordlog.record.contents import room_of
 from coordlog.record.messages import step_message
 from coordlog.record.metadata import decode_header
 from coordlog.record.records import (
@@ -50,12 +51,12 @@ def damages(data: bytes, stop: int, crc: int) -> Iterator[Problem]:
     if repair is not None:
         yield _flipped(data, *repair)
         return
-    failed = False
+    failed, room = False, room_of(len(data))
     for span in walk(data, stop=stop):
         if span.opcode == Opcode.CHUNK:
             content = memoryview(data)[span.start : span.end]
             try:
-                expand(content)
+                room -= len(expand(content, room=room))
             except FormatError as error:
                 failed = True
                 yield _unreadable(data, span, str(error))

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from coordlog.episode import Array, Episode, Header, Result
 from coordlog.errors import FormatError, StorageError, TruncatedError
 from coordlog.record.chunk import expand
-from coordlog.record.contents import Contents, contents
+from coordlog.record.contents import Contents, contents, room_of
 from coordlog.record.decoding import decode
 from coordlog.record.messages import (
     decode_contacts,
@@ -231,11 +231,14 @@ def salvaged(data: bytes) -> Salvage:
 def _ground(data: bytes) -> _Ground:
     ground, at, view = _Ground(), len(MAGIC), memoryview(data)
     ground.found.own = is_own(data)
+    room = room_of(len(data))
     for span in walk(data):
         content = view[span.start : span.end]
         try:
             if span.opcode == Opcode.CHUNK:
-                ground.found.add_chunk(expand(content))
+                chunk = expand(content, room=room)
+                room -= len(chunk)
+                ground.found.add_chunk(chunk)
             elif span.opcode == Opcode.METADATA:
                 name, values = unpack_metadata(bytes(content))
                 ground.found.metadata[name] = values

@@ -331,6 +331,19 @@ def _unlike(
         yield Problem(None, name, "one after its chunk", "none")
 
 
+@lru_cache(maxsize=64)
+def schemas_fit(records: bytes) -> bool:
+    """Whether the schemas among some records of a file of the present version can be read, and are
+    those that episodes are decoded by.
+    """
+    try:
+        for schema in unpack_definitions(records)[0]:
+            _require_schema(schema.name, schema.encoding, schema.data, False)
+    except FormatError:
+        return False
+    return True
+
+
 @lru_cache(maxsize=256)
 def _require_schema(name: str, encoding: str, text: bytes, first: bool) -> None:
     """Hold a schema to being one that can be read, and those that every episode is decoded by to

@@ -6,12 +6,15 @@ It reads an `.rrd` bit by bit: the file must stay where it is for as long as the
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -28,6 +31,7 @@ Stopping the script would leave the viewer running.
 SILENT = (RuntimeError, ConnectionError)
 """What a client raises when there is no viewer to answer it."""
 START_SECONDS = 30.0
+PR_SET_PDEATHSIG = 1
 NO_VULKAN = (
     "the viewer found no Vulkan device: install a software one (Debian, Ubuntu: apt-get install "
     "mesa-vulkan-drivers), "
@@ -84,7 +88,12 @@ class Viewer:
             with self._log.open("wb") as log:
                 command = [str(BINARY), *self._arguments]
                 self.process = subprocess.Popen(
-                    command, env=settings, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                    command,
+                    env=settings,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    preexec_fn=_bound(),
                 )
         except OSError as error:
             self._folder.cleanup()
@@ -136,6 +145,16 @@ class Viewer:
             f"the viewer ended with exit code {self.process.returncode} ({what}); use --save FILE "
             "and open it elsewhere"
         )
+
+
+def _bound() -> Callable[[], object] | None:
+    """What makes a new process end with this one, however that ends; None where Linux is not.
+
+    Source: prctl(2), PR_SET_PDEATHSIG; no `finally` runs in a process that is killed.
+    """
+    if sys.platform != "linux":
+        return None
+    return partial(ctypes.CDLL(None).prctl, PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def open_window(rrds: Sequence[Path], *, port: int = 0) -> None:

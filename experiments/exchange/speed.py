@@ -2,8 +2,8 @@
 
     python -m experiments.exchange.speed LOGS
 
-Prints for each format the time of an episode of 110 steps, read and written; for a bag of N joint
-states the time to import it and to play it message by message with rosbags; and frames a second of
+Prints for each format the time of an episode of 110 steps, read and written; for bags of ten
+minutes of joint states the time to import them and to play them message by message with rosbags; and frames a second of
 three cameras of 224 × 224 against bare `mujoco.Renderer` calls on the same states. The best of some
 repetitions, for the machine is seldom idle. MUJOCO_GL chooses egl or osmesa.
 """
@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from itertools import islice, product
 from pathlib import Path
 
 import mujoco
@@ -26,11 +27,13 @@ from rosbags.typesys import Stores, get_typestore
 from coordlog.exchange import FORMATS
 from coordlog.exchange.blocks import STORAGES, Options, export
 from coordlog.exchange.cameras import frames
-from coordlog.exchange.importing import Plan, import_source
+from coordlog.exchange.importing import Plan, import_source, understood
 from coordlog.exchange.source import Entry, Loaded, entries
 from coordlog.mjcf import load_attached
 
 STEPS = 110
+STATES = 8
+"""Of an episode that are rendered: software GL is slow."""
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CAMERAS = tuple(f"pos={x},-1.2,1.6 lookat=0,0,1" for x in (-1, 0, 1))
 
@@ -56,34 +59,41 @@ def exporting(chosen: list[Entry], work: Path) -> None:
             print(f"export {name}: {least / steps * STEPS * 1e3:.1f} ms", flush=True)
 
 
-def importing(work: Path, *, count: int = 20_000, joints: int = 7) -> None:
-    """A line for each storage of a bag."""
+def importing(work: Path, *, minutes: int = 10) -> None:
+    """A line for each storage of a bag at 100 Hz, and each number of joints."""
+    for joints, plugin in product((7, 30), (StoragePlugin.MCAP, StoragePlugin.SQLITE3)):
+        path, count = work / f"{plugin.name}-{joints}", minutes * 6000
+        write_bag(path, plugin, count, joints)
+        played = cpu(partial(play, path), times=2)
+        read = cpu(lambda path=path: list(understood(path, Plan(), None)))
+        out = work / "in"
+        whole = cpu(partial(import_source, path, out, Plan(), None, force=True))
+        print(
+            f"import {plugin.name.lower()}, {joints} joints, {minutes} minutes: "
+            f"{whole / count * 1e6:.1f} µs a message, {played / whole:.1f} × as fast as playing; "
+            f"read {read / count * 1e6:.1f} µs, {played / read:.1f} ×; "
+            f"played {played / count * 1e6:.1f} µs",
+            flush=True,
+        )
+
+
+def write_bag(path: Path, plugin: StoragePlugin, count: int, joints: int) -> None:
+    """A bag of joint states at 100 Hz with 1 ms of jitter, positions and velocities."""
     types = get_typestore(Stores.LATEST)
     rng = np.random.default_rng(0)
     position = np.cumsum(rng.normal(0, 0.01, (count, joints)), axis=0)
+    velocity = np.gradient(position, 0.01, axis=0)
+    stamps = np.arange(count) * 10**7 + rng.integers(0, 10**6, count)
     names = [f"joint_{i}" for i in range(joints)]
-    none = np.zeros(0)
-    for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
-        path = work / plugin.name
-        with Writer(path, version=9, storage_plugin=plugin) as bag:
-            channel = bag.add_connection("/joint_states", JOINT_STATE, typestore=types)
-            for i, row in enumerate(position):
-                stamp = types.types["builtin_interfaces/msg/Time"](
-                    sec=i // 100, nanosec=i % 100 * 10**7
-                )
-                header = types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
-                message = types.types[JOINT_STATE](
-                    header=header, name=names, position=row, velocity=none, effort=none
-                )
-                bag.write(channel, i * 10**7, types.serialize_cdr(message, JOINT_STATE))
-        played = cpu(partial(play, path), times=2)
-        out = work / "in"
-        least = cpu(partial(import_source, path, out, Plan(), None, force=True))
-        print(
-            f"import {plugin.name.lower()}: {least / count * 1e6:.2f} µs a message; played one by "
-            f"one {played / count * 1e6:.1f} µs, {played / least:.1f} ×",
-            flush=True,
-        )
+    with Writer(path, version=9, storage_plugin=plugin) as bag:
+        channel = bag.add_connection("/joint_states", JOINT_STATE, typestore=types)
+        for ns, row, speed in zip(stamps.tolist(), position, velocity, strict=True):
+            stamp = types.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+            header = types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
+            message = types.types[JOINT_STATE](
+                header=header, name=names, position=row, velocity=speed, effort=np.zeros(0)
+            )
+            bag.write(channel, ns, types.serialize_cdr(message, JOINT_STATE))
 
 
 def play(path: Path) -> None:
@@ -97,8 +107,7 @@ def rendering(path: Path) -> None:
     """Frames a second of three cameras, replayed and proven, and of bare renderer calls."""
     loaded = Loaded(path)
     options = Options("lerobot", CAMERAS, 224, 224)
-    states = len(loaded.episode) + 1
-    ours = cpu(lambda: list(frames(loaded, options)), times=2)
+    ours = cpu(lambda: list(islice(frames(loaded, options), STATES)), times=2)
     model = load_attached(loaded.attachments)
     data = mujoco.MjData(model)
     views = [mujoco.MjvCamera() for _ in CAMERAS]
@@ -107,7 +116,7 @@ def rendering(path: Path) -> None:
 
     def bare() -> None:
         with mujoco.Renderer(model, 224, 224) as renderer:
-            for qpos in loaded.episode.qpos:
+            for qpos in loaded.episode.qpos[:STATES]:
                 data.qpos[:] = qpos
                 mujoco.mj_forward(model, data)
                 for view in views:
@@ -115,7 +124,7 @@ def rendering(path: Path) -> None:
                     renderer.render()
 
     others = cpu(bare, times=2)
-    count = states * len(CAMERAS)
+    count = STATES * len(CAMERAS)
     print(
         f"render: {count / ours:.0f} frames a second of processor time, replay proven; bare "
         f"mujoco.Renderer {count / others:.0f}; {others / ours:.2f} ×"

@@ -80,3 +80,15 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
     files = [(path, "a.mcap") for path in find_files(tmp_path).paths]
     with pytest.raises(StorageError, match=r"would both become a\.mcap"):
         pack_files(files, tmp_path / "PACK")
+
+
+def test_a_name_that_no_pack_holds_is_left_out_and_named(tmp_path: Path) -> None:
+    write(tmp_path / "logs", {"a.mcap": b"1", "b\n.mcap": b"2"})
+    done = pack_files(named(tmp_path / "logs"), tmp_path / "PACK")
+    assert (done.files, len(done.left_out)) == (1, 1)
+    assert "one line" in done.left_out[0]
+    assert [path.name for path in find_files(tmp_path / "PACK").paths] == ["a.mcap"]
+    (tmp_path / "logs" / "a.mcap").unlink()
+    with pytest.raises(StorageError, match="nothing to pack"):
+        pack_files(named(tmp_path / "logs"), tmp_path / "NONE")
+    assert not (tmp_path / "NONE").exists()

@@ -74,6 +74,36 @@ def test_a_manifest_that_was_changed_or_cut_off_is_refused(tmp_path: Path) -> No
         manifest.encode(Manifest("x", (rows[0]._replace(path="a\tb"),)))
 
 
+@pytest.mark.parametrize(
+    "harm",
+    [
+        ('"about": {}', '"about": null'),
+        ('"about": {}', '"about": [1]'),
+        ('"about": {}', '"about": {"sources": 5}'),
+        ('"about": {}', '"about": {"sources": [{"a": 1}]}'),
+        ('"about": {}', '"about": {"sources": ["\\u0000"]}'),
+        ('"name": "x"', '"name": 5'),
+        ('"version": 1', '"version": "1"'),
+        ('"version": 1', '"version": NaN'),
+        ('"parent": ""', '"parent": []'),
+        ("\t2\ta", "\t" + "9" * 400 + "\ta"),
+        ("\t1\t2\ta", "\t-1\t2\ta"),
+        ("\ta\n", "\ta\0b\n"),
+    ],
+)
+def test_a_manifest_whose_values_are_odd_is_damaged(harm: tuple[str, str]) -> None:
+    data = manifest.encode(Manifest("x", (Chosen("ab", "", "", 1, 2, "a"),))).decode()
+    odd = data.replace(*harm)
+    assert odd != data
+    with pytest.raises(FormatError, match="damaged or was cut off"):
+        manifest.decode(odd.encode())
+
+
+def test_a_manifest_nested_without_end_is_none() -> None:
+    with pytest.raises(FormatError, match="not a manifest"):
+        manifest.decode(b"[" * 100_000)
+
+
 def test_where_minus_and_merging_are_operations_on_sets(logs: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.manifest"
     whole = select(gather([logs]), out=out)

@@ -45,9 +45,10 @@ def assert_foreseen(found: Count) -> None:
     assert found.noticed > 0
 
 
+@pytest.mark.parametrize("level", ["file", "content"])
 @pytest.mark.parametrize("how", [flipped, cut, smeared])
-def test_no_changed_value_passes_check(how, file: Path, tmp_path: Path) -> None:
-    found = harm_bytes(file, tmp_path, how, count=20, seed=11, check=True)
+def test_no_changed_value_passes_check(how, level: str, file: Path, tmp_path: Path) -> None:
+    found = harm_bytes(file, tmp_path, how, count=20, seed=11, level=level)
     assert_foreseen(found)
     assert found.silent == 0
 
@@ -63,7 +64,7 @@ def test_a_changed_value_is_seen(file: Path) -> None:
 
 @pytest.mark.parametrize("how", [flipped, cut, smeared])
 def test_harmed_bytes_are_read_or_refused(how, file: Path, tmp_path: Path) -> None:
-    found = harm_bytes(file, tmp_path, how, count=30, seed=12, check=False)
+    found = harm_bytes(file, tmp_path, how, count=30, seed=12)
     assert_foreseen(found)
     assert found.silent == 0
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -20,11 +21,12 @@ from coordlog.record import topics
 from coordlog.record.metadata import encode_header
 from coordlog.record.reader import read_attachments, read_episode, read_header, read_summary
 from coordlog.record.recording import Recording
-from coordlog.record.records import walk
+from coordlog.record.records import RECORD_HEAD, walk
 from coordlog.record.schema import SCHEMAS
 from coordlog.record.writer import EpisodeWriter, write_episode
 from coordlog.spec import FINAL, INPUTS, REACH, STEP, TASK_TOPIC
 from coordlog.verify.file import check, rewritten
+from coordlog.verify.repair import recover
 from tests.synthetic import ATTACHMENTS, TINY, assert_same, make_episode, make_header
 
 V1 = Path(__file__).parents[1] / "data" / "v1"
@@ -436,6 +438,20 @@ def test_a_file_that_expands_to_more_than_its_size_allows_is_refused(tmp_path, r
     assert (tmp_path / "b.mcap").stat().st_size < 1 << 17
     with pytest.raises(FormatError, match=r"chunks that expand to .* expected at most"):
         read_episode(tmp_path / "b.mcap")
+
+
+def test_recovering_expands_no_more_than_the_size_of_a_file_allows(tmp_path, rng):
+    whole = write_episode_at(tmp_path / "a.mcap", make_episode(rng, layout=TINY, length=3))
+    data, size = whole.read_bytes(), 90 << 20
+    packed = zstandard.compress(bytes(size))
+    head = struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", 4) + b"zstd"
+    body = head + struct.pack("<Q", len(packed)) + packed
+    end = next(span for span in walk(data) if span.opcode == Opcode.DATA_END)
+    bomb = RECORD_HEAD.pack(Opcode.CHUNK, len(body)) + body
+    (tmp_path / "b.mcap").write_bytes(data[: end.start - RECORD_HEAD.size] + bomb)
+    done = recover(tmp_path / "b.mcap")
+    assert done.steps_kept == 3
+    assert f"expands to {size} bytes, more than" in done.lost
 
 
 def test_a_part_file_is_one_of_our_own(tmp_path, rng):

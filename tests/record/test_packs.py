@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import tarfile
 import tempfile
@@ -168,3 +169,22 @@ def test_names_that_no_index_could_hold_are_refused(tmp_path: Path) -> None:
         for name in ("a\nb", "/a"):
             with pytest.raises(StorageError, match="relative and of one line"):
                 writer.append(name, b"", mtime=0)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"a b c d e\n", b"1 2\n", b"-5 9 x 0 a\n", b"inf nan x y a\n", b"9" * 5000 + b" 5 x 0 a\n"],
+)
+def test_an_index_that_says_nonsense_under_a_right_seal_is_refused(line: bytes) -> None:
+    seal = f"sha256 {hashlib.sha256(line).hexdigest()}\n".encode()
+    with pytest.raises(FormatError, match="it: expected lines of start, size"):
+        decode_index(line + seal, "it")
+
+
+def test_an_index_of_more_than_its_shard_holds_is_refused(tmp_path: Path) -> None:
+    with PackWriter(tmp_path) as writer:
+        writer.append("a", b"12345", mtime=0)
+    member = Member(512, 1 << 40, "ab" * 32, TIME, "a")
+    (tmp_path / "shard-000000.index").write_bytes(encode_index([member]))
+    with pytest.raises(FormatError, match="beyond the shard's end"):
+        Pack(Folder(tmp_path)).index("shard-000000.tar")

@@ -168,6 +168,16 @@ def test_float32_stamps_are_refused_however_they_come():
             clean(stamps, q)
     fine = clean(time.astype(np.float32), q)
     assert len(fine.time) == 1000
+    with pytest.raises(SpecError, match="float16 numbers, which lie"):
+        clean((np.arange(200) * 0.1).astype(np.float16), log(200)[1])
+    halves = clean(np.arange(200) * 0.5, log(200)[1])  # few digits, and nothing rounded
+    assert len(halves.time) == 200
+
+
+def test_microseconds_from_zero_on_are_no_seconds():
+    time, q = log(200)
+    with pytest.raises(SpecError, match="cannot be seconds"):
+        clean(time * 1e6, q)
 
 
 def test_times_are_what_they_are():

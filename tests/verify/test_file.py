@@ -10,9 +10,10 @@ from mcap.opcode import Opcode
 
 from coordlog.episode import CONTACT
 from coordlog.errors import StorageError
-from coordlog.record.chunk import definitions, encode, expand, split
-from coordlog.record.records import walk
-from coordlog.record.writer import EpisodeWriter, write_episode
+from coordlog.record.chunk import Batch, compose, definitions, encode, expand, split
+from coordlog.record.container import Container
+from coordlog.record.records import unpack_attachment, unpack_metadata, walk
+from coordlog.record.writer import LIBRARY, EpisodeWriter, write_episode
 from coordlog.spec import STEP
 from coordlog.verify.file import check
 from tests.synthetic import (
@@ -241,6 +242,60 @@ def test_another_schema_text_is_noticed(tmp_path, episode, monkeypatch):
     topics._topics.cache_clear()
     (finding,) = checked(tmp_path / "a.mcap", "file")
     assert f"schema {STEP.name}: expected 'float64 time', got no field of that name" in finding.got
+
+
+def written_anew(data, change):
+    """Our layout written again by somebody else, one record of the steps changed, all CRCs right."""
+    container = Container(LIBRARY)
+    for span in walk(data, stop=int.from_bytes(data[-28:-20], "little")):
+        content = data[span.start : span.end]
+        if span.opcode == Opcode.METADATA:
+            container.add_metadata(*unpack_metadata(content))
+        elif span.opcode == Opcode.ATTACHMENT:
+            name, attached = unpack_attachment(memoryview(content))
+            container.add_attachment(name, attached, media_type="", log_time=0)
+        elif span.opcode == Opcode.CHUNK:
+            chunk = expand(memoryview(content))
+            defined = definitions(chunk)
+            for inner in walk(defined, 0):
+                kept = container._schemas if inner.opcode == Opcode.SCHEMA else container._channels
+                kept[defined[inner.start - 9 : inner.end]] = None
+            batches = [
+                Batch(
+                    channel,
+                    np.array([int.from_bytes(record[15:23], "little") for record in records]),
+                    [change(bytearray(record)) for record in records],
+                )
+                for channel, records in split(chunk, len(defined)).items()
+            ]
+            container.add_chunk(compose(defined, batches))
+    container.finish()
+    return container.drain()
+
+
+def test_a_value_changed_behind_right_crcs_in_our_layout_is_noticed(tmp_path, file):
+    def last_bit(record):
+        record[-1] ^= 1
+        return bytes(record)
+
+    data, path = file.read_bytes(), tmp_path / "anew.mcap"
+    path.write_bytes(written_anew(data, bytes))
+    assert path.read_bytes() != data
+    assert checked(path, "file") == checked(path) == []
+    path.write_bytes(written_anew(data, last_bit))
+    (finding,) = checked(path, "file")
+    assert "the messages are not those that were recorded" in finding.got
+
+
+def test_a_whole_file_is_checked_without_expanding_it(file, monkeypatch):
+    from coordlog.verify import file as module
+
+    monkeypatch.setattr(module, "structure", lambda *_: pytest.fail("looked into"))
+    assert checked(file, "file") == []
+    data = bytearray(file.read_bytes())
+    data[-29] ^= 1  # the CRC of the data section
+    file.write_bytes(data)
+    assert checked(file, "file") != []
 
 
 # --- content -----------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ import io
 import json
 import socket
 import subprocess
+import sys
 import urllib.error
 import urllib.request
 from dataclasses import replace
@@ -184,3 +185,20 @@ def test_the_page_is_served_to_this_machine_only_and_may_reach_nothing_else(show
     assert not any(
         child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children
     )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel does that on Linux")
+def test_a_viewer_ends_with_the_process_that_started_it_however_that_ends():
+    program = (
+        "from coordlog.view.viewer import Viewer\n"
+        "with Viewer('--serve-web', '--web-viewer-port', '0') as viewer:\n"
+        "    print(viewer.process.pid, flush=True)\n"
+        "    viewer.process.wait()"
+    )
+    words = [sys.executable, "-c", program]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as parent:
+        child = psutil.Process(int(parent.stdout.readline()))
+        assert child.is_running()
+        parent.kill()
+    _, alive = psutil.wait_procs([child], timeout=20)
+    assert not alive
