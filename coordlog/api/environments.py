@@ -36,7 +36,7 @@ PRESET = "environment"
 """What is learnt with without a word."""
 HELD = 1_000_000
 """Seed of the first episode that is judged by; recordings begin at 0."""
-RANK = ("return",)
+BY_RETURN = ("return",)
 """The best policy has the greatest return."""
 LARGEST = 10.0
 """Rewards are scaled to returns of about this, if nothing is said."""

@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coordlog.api.environments import RANK as RETURNS
-from coordlog.api.environments import Performance, learnt_from, of_environment, performance
+from coordlog.api.environments import (
+    BY_RETURN,
+    Performance,
+    learnt_from,
+    of_environment,
+    performance,
+)
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
@@ -195,7 +200,7 @@ def _judge(
     if run.scene is None:
         made = performance(plan, run.about["env"], folder, monitor, window)
         with made as found:
-            yield found, RETURNS
+            yield found, BY_RETURN
         return
     count = plan.eval_episodes
     elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count

@@ -115,7 +115,8 @@ def verbatim(given: Path | str, model: mujoco.MjModel) -> Source | None:
     its files do not allow it.
     """
     name = given.stem if isinstance(given, Path) else "model"
-    robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}})
+    beside = None if isinstance(given, Path) else Path.cwd()  # from where MuJoCo read its files
+    robot = Robot(name, given, (Arm("none", "none", ()),), poses={"stand": {}}, assets=beside)
     try:
         spec = read_spec(robot)
         _copy_back(spec, model)

@@ -27,11 +27,11 @@ from coordlog.record.foreign_env import (
     Subject,
     after,
     at_first,
-    file_of,
     name_of,
     range_of,
     several,
     simulation_of,
+    source_of,
     takes_seed,
 )
 from coordlog.record.foreign_episode import EpisodeLog
@@ -76,7 +76,7 @@ class Recorder:
             ConfigError: if there is no MuJoCo in it, or the text of its model is not known.
         """
         self._env, self._out, self._policy, self._verify = env, Path(out), policy or {}, verify
-        self._source = source if source is not None else file_of(env)
+        self._source = source
         self._log: EpisodeLog | None = None
         self.run = uuid.uuid4().hex[:8]
         self.files: list[Path] = []
@@ -91,7 +91,7 @@ class Recorder:
         if self._each:
             env.unwrapped.envs = type(env.unwrapped.envs)(self._each)
         else:
-            self._subject = Subject(simulation_of(env)[0], self._source)
+            self._subject = self._subject_of(simulation_of(env)[0])
             self._range = range_of(env)
 
     def __getattr__(self, name: str) -> Any:
@@ -106,7 +106,7 @@ class Recorder:
         observation, _ = at_first(given)
         model, data = simulation_of(self._env)
         if model is not self._subject.model:  # some environments compile one for every episode
-            self._subject = Subject(model, self._source)
+            self._subject = self._subject_of(model)
         name, index = name_of(self._env), len(self.files)
         path = self._out / f"{name}-{index:06d}-{self.run}.mcap"
         about = {
@@ -158,6 +158,9 @@ class Recorder:
         if found.terminated or found.truncated:
             self._count(log)
         return given
+
+    def _subject_of(self, model: mujoco.MjModel) -> Subject:
+        return Subject(model, source_of(self._env) if self._source is None else self._source)
 
     def _count(self, log: EpisodeLog) -> None:
         self.set_from_outside += log.set_from_outside

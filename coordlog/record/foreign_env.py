@@ -255,10 +255,17 @@ def make(name: str) -> Any:
             ) from error
 
 
-def file_of(env: Any) -> Path | None:
-    """The model's file, where the environment says which it is."""
-    path = getattr(getattr(env, "unwrapped", env), "fullpath", None)
-    return Path(path) if isinstance(path, str) and Path(path).is_file() else None
+def source_of(env: Any) -> Path | str | None:
+    """The file or the text of the model, where the environment says it: Gymnasium's `fullpath`,
+    robosuite's `model.get_xml()`.
+    """
+    inner = getattr(env, "unwrapped", env)
+    path = getattr(inner, "fullpath", None)
+    if isinstance(path, str) and Path(path).is_file():
+        return Path(path)
+    text = getattr(getattr(inner, "model", None), "get_xml", None)
+    found = text() if callable(text) else None
+    return found if isinstance(found, str) else None
 
 
 def name_of(env: Any) -> str:

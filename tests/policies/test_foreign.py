@@ -5,8 +5,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from coordlog.errors import ConfigError
+from coordlog.errors import ConfigError, FormatError
 from coordlog.policies.foreign import as_act, load
+from coordlog.policies.registry import pretrained
 
 
 def test_a_policy_is_a_function_or_has_predict_or_act(tmp_path):
@@ -30,7 +31,6 @@ def test_a_policy_is_a_function_or_has_predict_or_act(tmp_path):
     ("name", "content", "said"),
     [
         ("p.pkl", b"\x80\x04abc", "a pickle, which would run anything"),
-        ("p.safetensors", b"abc", "coordlog's own"),
         ("p.py", b"x = 1", "write FILE.py:NAME"),
         ("p", b"\x7fELF", "a program"),
         ("p.txt", b"abc", "a file of another kind"),
@@ -40,6 +40,16 @@ def test_a_file_of_another_kind_is_named_for_what_it_is(name, content, said, tmp
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ConfigError, match=said):
         load(str(tmp_path / name))
+
+
+def test_a_policy_of_a_scene_acts_in_no_environment_and_what_is_none_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="acts in coordlog's scenes alone, trained in 'table'"):
+        load(str(pretrained("table")))
+    (tmp_path / "p.safetensors").write_bytes(b"abc")
+    with pytest.raises(FormatError, match="expected a coordlog policy"):
+        load(str(tmp_path / "p.safetensors"))
+    with pytest.raises(ConfigError, match=r"run folder with best\.safetensors, found none"):
+        load(str(tmp_path))
 
 
 def test_a_zip_that_is_no_model_is_named_by_what_is_in_it(tmp_path):

@@ -416,3 +416,46 @@ def test_a_weld_that_was_set_after_compilation_is_logged_as_it_is(tmp_path):
             mujoco.mj_step(model, data, 2)
             log.step(data.ctrl)
     assert check_replay(list(tmp_path.glob("*.mcap"))).findings == []
+
+
+def test_a_text_whose_files_lie_elsewhere_on_the_disk_is_logged_with_them(tmp_path):
+    corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    (tmp_path / "box.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3\nf 2 3 4\nf 5 6 7\nf 6 7 8\n"
+    )
+    text = TEXT.replace(
+        "<worldbody>",
+        f'<asset><mesh name="box" file="{tmp_path}/box.obj" scale=".1 .1 .1"/></asset><worldbody>'
+        '<geom type="mesh" mesh="box" pos="0 0 -1"/>',
+    )
+
+    class Told(Env):
+        """As robosuite's: a model's text from the environment, and a new model at every reset."""
+
+        def __init__(self):
+            super().__init__()
+            self.data = None
+            self.model, self.sim = self, self
+            self._begin()
+
+        def get_xml(self):
+            return text
+
+        def _begin(self):
+            self._model = mujoco.MjModel.from_xml_string(text)
+            self.data = mujoco.MjData(self._model)
+
+        def reset(self, seed=None):
+            self._begin()
+            self.count = 0
+            return self.data.qpos.copy(), {}
+
+        def step(self, action):
+            mujoco.mj_step(self._model, self.data)
+            self.count += 1
+            return self.data.qpos.copy(), 0.0, False, self.count == 3, {}
+
+    done = record_env(Told(), lambda seen: np.zeros(2), episodes=2, out=tmp_path / "logs")
+    (tmp_path / "box.obj").unlink()
+    replays = check_replay(done.files)
+    assert (replays.steps, replays.findings) == (6, [])
