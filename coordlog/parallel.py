@@ -232,14 +232,15 @@ def cluster(address: str) -> Iterator[Any]:
 
 
 def _lock_up() -> None:
-    """Have a cluster of our own ask for a secret: Ray listens on every address of the machine."""
+    """Have a cluster of our own listen on 127.0.0.1 alone, and ask for a secret.
+
+    The first switch is Ray's for systems whose firewalls ask; Linux takes it as well. Given an
+    address of this machine alone, `ray.init` takes that of its network instead.
+    """
     if "ray" not in sys.modules and "RAY_AUTH_MODE" not in os.environ:
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
 
 
-_ALONE: dict[str, Any] = {
-    "address": "local",
-    "include_dashboard": False,
-    "_node_ip_address": "127.0.0.1",
-}
+_ALONE: dict[str, Any] = {"address": "local", "include_dashboard": False}

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coordlog.api import environments
+from coordlog.api.environments import RANK as RETURNS
+from coordlog.api.environments import Performance, learnt_from, of_environment, performance
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
@@ -137,7 +138,7 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
     if plan.tensorboard:
         require_tensorboard()
     logs = _logs(plan, monitor) if plan.source else None
-    if logs and environments.of_environment(logs.env(0)):
+    if logs and of_environment(logs.env(0)):
         return _of_environment(plan, logs, monitor)
     if isinstance(plan.scene, Scene):
         scene = plan.scene
@@ -177,7 +178,7 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
 
 def _of_environment(plan: TrainPlan, logs: Logs, monitor: Monitor) -> Run:
     """A run on the logs of an environment that is not ours."""
-    env, task, columns, wanted = environments.learnt_from(plan, logs)
+    env, task, columns, wanted = learnt_from(plan, logs)
     scene = logs.episodes.column("scene")[0].as_py()
     about = _about(plan, scene, env, wanted, logs)
     folder = Path(plan.out or f"runs/{scene}-{plan.mode}-s{plan.seed}")
@@ -188,13 +189,13 @@ def _of_environment(plan: TrainPlan, logs: Logs, monitor: Monitor) -> Run:
 @contextmanager
 def _judge(
     run: Run, monitor: Monitor, window: Live | None
-) -> Iterator[tuple[Judge | environments.Performance | None, tuple[str, ...]]]:
+) -> Iterator[tuple[Judge | Performance | None, tuple[str, ...]]]:
     """Who judges a run, and the figures by which."""
     plan, folder = run.plan, run.folder
     if run.scene is None:
-        made = environments.performance(plan, run.about["env"], folder, monitor, window)
+        made = performance(plan, run.about["env"], folder, monitor, window)
         with made as found:
-            yield found, environments.RANK
+            yield found, RETURNS
         return
     count = plan.eval_episodes
     elsewhere = max(1, count // ELSEWHERE) if plan.mode == "logs" else count

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from coordlog.catalog.index import GROUP, Catalog, Run, serial
 from coordlog.catalog.query import Source
-from coordlog.catalog.rows import COLUMNS, KEPT, Job, described, table_of
+from coordlog.catalog.rows import COLUMNS, EMPTY, KEPT, Job, described, table_of
 from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record import manifest
@@ -47,7 +47,7 @@ class Gathered:
 
     def episodes(self) -> pa.Table:
         """The rows of all sound episodes, each path once and whole; `KEPT`."""
-        rows = pa.concat_tables([KEPT.empty_table(), *map(whole, self.sources)])
+        rows = pa.concat_tables([EMPTY, *map(whole, self.sources)])
         return _first_of_each(rows.filter(pc.is_null(rows.column("error"))), "path")
 
 
@@ -161,7 +161,7 @@ def _manifest(path: Path, found: Gathered, *, scan: bool, run: Run) -> None:
             inner.folders += part.folders
     wanted = {each.digest: each for each in chosen.chosen}
     tables = [_listed(source, wanted) for source in inner.sources]
-    rows = pa.concat_tables([KEPT.empty_table(), *tables])
+    rows = pa.concat_tables([EMPTY, *tables])
     rows = _first_of_each(rows, "digest").sort_by("digest")
     digests = rows.column("digest").to_pylist()
     for name in ("part", "label"):
@@ -190,8 +190,8 @@ def whole(source: Source) -> pa.Table:
     table = (pq.ParquetFile(rows).read() if isinstance(rows, Path) else rows).select(KEPT.names)
     table = table.cast(KEPT)
     if source.prefix:
-        head = pa.scalar(source.prefix.rstrip("/"))
-        paths = pc.binary_join_element_wise(head, table.column("path"), "/")
+        head = source.prefix.rstrip("/") + "/"  # a scalar or an array of Python's loads pandas
+        paths = pc.utf8_replace_slice(table.column("path"), 0, 0, head)
         table = table.set_column(0, COLUMNS.field("path"), paths)
     return table
 

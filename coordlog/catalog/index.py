@@ -25,7 +25,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from coordlog.catalog.rows import KEPT, Job, described, table_of, tombstones
+from coordlog.catalog.rows import EMPTY, KEPT, Job, described, table_of, tombstones
 from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record.addresses import contents_of, place_at
@@ -239,10 +239,10 @@ class Catalog:
     def _described_below(self, fresh: Sequence[Entry]) -> pa.Table:
         """Rows that the catalogues of folders within this one have of some files."""
         if not isinstance(self._place, Folder):
-            return KEPT.empty_table()
+            return EMPTY
         folders = {str(folder) for each in fresh for folder in PurePosixPath(each.name).parents}
         wanted = {each.name: (each.size, each.mtime) for each in fresh}
-        tables = [KEPT.empty_table()]
+        tables = [EMPTY]
         for folder in sorted(folders - {"."}):
             if (self._place.path / folder / FOLDER).is_dir():
                 rows = Catalog(self._place.path / folder).rows()
@@ -283,7 +283,7 @@ class Catalog:
                 f"{str(error).splitlines()[0]}"
             )
             self._broken.append(name)
-            return KEPT.empty_table()
+            return EMPTY
 
 
 def _stamps(rows: pa.Table) -> dict[str, Stamp]:
@@ -305,7 +305,7 @@ def newest(parts: Iterable[pa.Table]) -> pa.Table:
     """
     tables = list(parts)
     if not tables:
-        return KEPT.empty_table()
+        return EMPTY
     rows = pa.concat_tables(tables)
     if len(tables) > 1:
         codes = np.asarray(rows.column("path").combine_chunks().dictionary_encode().indices)

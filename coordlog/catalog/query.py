@@ -141,19 +141,6 @@ def _describe(connection: Any, sources: Sequence[Source], where: str) -> None:
     )
 
 
-def _require_where(connection: Any, where: str, episodes: str) -> None:
-    """Hold what stands after --where to one condition over the columns of the view."""
-    import duckdb
-
-    try:
-        require_condition(connection, where)
-        connection.sql(f"select * from ({episodes}) where ({where}\n)")  # binds the names
-    except (duckdb.Error, ValueError) as error:
-        raise ConfigError(
-            f"--where: expected an SQL condition over {', '.join(OFFERED)}; {_said(error)}"
-        ) from None
-
-
 def _quoted(text: str) -> str:
     """A text as SQL."""
     return "'" + text.replace("'", "''") + "'"

@@ -53,26 +53,10 @@ COLUMNS = pa.schema(
 )
 """What SQL sees of an episode. `digest` is the sha256 of the file, `goal` one of the goals and
 obstacles, `jerk` that of a smoothed path; times in ns since the epoch, durations in s."""
-MEANING = {
-    "path": "where the file is",
-    "size": "bytes",
-    "mtime": "when the file was changed last, ns since the epoch",
-    "digest": "sha256 of the file",
-    "goal": "the same for episodes with the same goals and obstacles in the same scene",
-    "kind": "simulated here, or observed elsewhere",
-    "start_time": "ns since the epoch",
-    "duration": "simulated seconds",
-    "length": "steps",
-    "arms": "names of the arms, in the order of returns",
-    "returns": "sum of rewards per task head",
-    "collided": "any collision at any step",
-    "fell": "any instability at any step",
-    "parents": "digests of the files it was made from",
-    "jerk": "of a smoothed path, RMS, rad/s³",
-}
-"""What is not plain from a column's name."""
 KEPT = pa.schema([*COLUMNS, ("error", pa.string()), ("gone", pa.bool_())])
 """What a catalogue keeps: also what is wrong with a file, and that it is gone."""
+EMPTY = pa.Table.from_batches([], KEPT)
+"""No rows; made so, since `empty_table` loads pandas where there is one, for half a second."""
 
 
 class Job(NamedTuple):

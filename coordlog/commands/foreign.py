@@ -66,24 +66,23 @@ def record_environment(
                 f"--env {name} with the policy {policy or 'random'}: {type(error).__name__}: "
                 f"{error}"
             ) from error
-    seconds = time.perf_counter() - began
     catalogued(out, recorder.files)
-    summary = {
-        "run": recorder.run,
-        "episodes": len(recorder.files),
-        "steps": recorder.steps,
-        "set_from_outside": recorder.set_from_outside,
-        "seconds": seconds,
-        "files": [str(path) for path in recorder.files],
-    }
+    _show(recorder, out, seconds=time.perf_counter() - began, as_json=as_json)
+
+
+def _show(recorder: Recorder, out: Path, *, seconds: float, as_json: bool) -> None:
+    """What was recorded, for people or as JSON."""
+    episodes, steps, outside = len(recorder.files), recorder.steps, recorder.set_from_outside
     if as_json:
-        terminal.print_json(summary)
+        counted = {"run": recorder.run, "episodes": episodes, "steps": steps}
+        counted |= {"set_from_outside": outside, "seconds": seconds}
+        terminal.print_json(counted | {"files": [str(path) for path in recorder.files]})
         return
-    said = f"{summary['set_from_outside']} of them set the state from outside; logged as such"
+    said = f"{outside} of them set the state from outside; logged as such"
     terminal.facts(
         [
-            ("episodes", f"{summary['episodes']} in {out}/ (run {recorder.run})"),
-            ("steps", f"{recorder.steps}, each simulated again to the bit; {said}"),
-            ("speed", f"{recorder.steps / seconds:,.0f} steps/s"),
+            ("episodes", f"{episodes} in {out}/ (run {recorder.run})"),
+            ("steps", f"{steps}, each simulated again to the bit; {said}"),
+            ("speed", f"{steps / seconds:,.0f} steps/s"),
         ]
     )

@@ -14,7 +14,7 @@ from coordlog.errors import EXIT_BAD_INPUT, EXIT_CHECK_FAILED, EXIT_PARTIAL, Con
 from coordlog.parallel import mapped
 
 if TYPE_CHECKING:
-    from coordlog.catalog.index import Change, Mismatch
+    from coordlog.catalog.index import Catalog, Change, Mismatch
     from coordlog.catalog.rows import Job
 
 SAID = 20
@@ -56,19 +56,8 @@ def index(
         if each.is_file():
             raise ConfigError(f"{each}: expected a folder, a pack or an address, got a file")
         catalog = Catalog(each)
-        with terminal.progress() as bar:
-            task = bar.add_task(f"describing {each}", total=None, note="")
-
-            def run(
-                function: Callable[[Job], list[dict[str, Any]]], work: Sequence[Job]
-            ) -> Iterator[list[dict[str, Any]]]:
-                bar.update(task, total=sum(len(job.entries) for job in work))  # noqa: B023
-                for rows in mapped(function, work, jobs=jobs):
-                    bar.update(task, advance=len(rows))  # noqa: B023
-                    yield rows
-
-            files = Files((), ()) if is_url(each) else find_files(each)
-            change = catalog.rebuild(run=run) if rebuild else catalog.refresh(run=run)
+        files = Files((), ()) if is_url(each) else find_files(each)
+        change = _update(catalog, each, rebuild=rebuild, jobs=jobs)
         wrong = catalog.verify() if verify else []
         if compact:
             catalog.compact()
@@ -102,6 +91,22 @@ def index(
         raise typer.Exit(EXIT_BAD_INPUT)
     if left_out:
         raise typer.Exit(EXIT_PARTIAL)
+
+
+def _update(catalog: Catalog, path: Path, *, rebuild: bool, jobs: str) -> Change:
+    """Describe what is new under a progress bar."""
+    with terminal.progress() as bar:
+        task = bar.add_task(f"describing {path}", total=None, note="")
+
+        def run(
+            function: Callable[[Job], list[dict[str, Any]]], work: Sequence[Job]
+        ) -> Iterator[list[dict[str, Any]]]:
+            bar.update(task, total=sum(len(job.entries) for job in work))
+            for rows in mapped(function, work, jobs=jobs):
+                bar.update(task, advance=len(rows))
+                yield rows
+
+        return catalog.rebuild(run=run) if rebuild else catalog.refresh(run=run)
 
 
 def _show(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from coordlog.commands import terminal
 from coordlog.commands.options import Jobs, flag, json_flag
 from coordlog.errors import EXIT_PARTIAL, ConfigError
+
+if TYPE_CHECKING:
+    from coordlog.record.manifest import Manifest
 
 
 def select(
@@ -68,21 +71,19 @@ def select(
     if not made.chosen:
         raise ConfigError(f"--where: no episode satisfies: {where or 'what was asked for'}")
     written = manifest.write(out, made, force=force)
-    if as_json:
-        terminal.print_json(
-            {
-                "manifest": str(out),
-                "hash": written.hash,
-                "version": written.version,
-                "episodes": len(written.chosen),
-                "parts": written.parts,
-            }
-        )
-    else:
-        parts = ", ".join(f"{count:,} {name}" for name, count in written.parts.items() if name)
-        terminal.say(
-            f"{out}: {len(written.chosen):,} episodes{f' ({parts})' if parts else ''}, version"
-            f" {written.version}, {written.hash[:12]}",
-        )
+    _show(out, written, as_json)
     if found.skipped:
         raise typer.Exit(EXIT_PARTIAL)
+
+
+def _show(out: Path, written: Manifest, as_json: bool) -> None:
+    count = len(written.chosen)
+    if as_json:
+        said = {"manifest": str(out), "hash": written.hash, "version": written.version}
+        terminal.print_json(said | {"episodes": count, "parts": written.parts})
+        return
+    parts = ", ".join(f"{count:,} {name}" for name, count in written.parts.items() if name)
+    terminal.say(
+        f"{out}: {count:,} episodes{f' ({parts})' if parts else ''}, version"
+        f" {written.version}, {written.hash[:12]}",
+    )

@@ -11,8 +11,9 @@ import pyarrow.csv as pc
 
 from coordlog.errors import FormatError
 
-_COMMA = rb"-?\d+,\d+(?:[eE][-+]?\d+)?"
-_DECIMAL_COMMA = re.compile(rb'(^|[;\t"])' + _COMMA + rb'($|[;\t"\r])', re.MULTILINE)
+_COMMA = rb"-?[\d.]*\d,\d+(?:[eE][-+]?\d+)?"
+_DECIMAL_COMMA = re.compile(rb'(^|[;\t|"]) *' + _COMMA + rb' *($|[;\t|"\r])', re.MULTILINE)
+_RAGGED = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 _QUOTED_COMMA = re.compile(rb'"' + _COMMA + rb'"')
 _NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*")
 
@@ -27,7 +28,7 @@ def read_csv(path: Path) -> tuple[pa.Table, tuple[str, ...]]:
     head = re.split(rb"[\r\n]", data, maxsplit=1)[0]
     if not head:
         raise FormatError(f"{path}: expected a header of column names in line 1, got none")
-    delimiter = max((",", ";", "\t"), key=lambda each: head.count(each.encode()))
+    delimiter = max((",", ";", "\t", "|"), key=lambda each: head.count(each.encode()))
     _require_header(path, head.decode(), delimiter)
     _require_points(path, data, delimiter)
     try:
@@ -39,7 +40,7 @@ def read_csv(path: Path) -> tuple[pa.Table, tuple[str, ...]]:
         )
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         said = str(error).splitlines()[0].removeprefix("CSV parse error: ")
-        raise FormatError(f"{path}: {said}") from error
+        raise FormatError(f"{path}: {_ragged(said, delimiter)}") from error
     names = [name.strip() for name in table.column_names]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
@@ -68,6 +69,17 @@ def number_text(path: Path, table: pa.Table, name: str) -> None:
     )
 
 
+def _ragged(said: str, delimiter: str) -> str:
+    """What Arrow says of a row of too many or too few cells, by its line."""
+    found = _RAGGED.match(said)
+    if found is None:
+        return said
+    line, wanted, got = found.groups()
+    commas = delimiter == "," and int(got) > int(wanted)
+    hint = "; if these are decimal commas, save it with points" if commas else ""
+    return f"line {line}: expected {wanted} columns, got {got}{said[found.end() :]}{hint}"
+
+
 def _utf8(path: Path) -> bytes:
     try:
         data = path.read_bytes()
@@ -94,6 +106,11 @@ def _require_header(path: Path, head: str, delimiter: str) -> None:
             f"{path}: line 1: expected a header of column names, got a comment; take the # away, "
             "or the line"
         )
+    if len(cells) == 1 and " " in cells[0]:
+        raise FormatError(
+            f"{path}: line 1: expected columns parted by a comma, semicolon, tab or |, got spaces: "
+            f"'{head:.40}'"
+        )
     if all(_NUMBER.fullmatch(cell) for cell in cells):
         raise FormatError(
             f"{path}: line 1: expected a header of column names, got numbers; put names above them"
@@ -105,7 +122,7 @@ def _require_points(path: Path, data: bytes, delimiter: str) -> None:
     found = pattern.search(data)
     if found:
         line = data.count(b"\n", 0, found.start(0) + 1) + 1
-        text = found.group(0).strip(b';\t"\r\n').decode()
+        text = found.group(0).strip(b';\t|" \r\n').decode()
         raise FormatError(
             f"{path}: line {line}: expected numbers with a decimal point, got '{text}'; save it "
             "with points"

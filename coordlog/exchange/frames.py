@@ -32,7 +32,7 @@ _HEAD = 9 + 22
 
 
 class Part(NamedTuple):
-    """Some messages of a topic, in the order of their file: few enough to stay in the cache."""
+    """Some messages of a topic as they were written: few enough to stay in the cache."""
 
     times: Array
     """(n,) int64: log times [ns]"""
@@ -41,13 +41,15 @@ class Part(NamedTuple):
 
 
 def of_files(files: Sequence[Path], topic: str) -> Iterator[Part]:
-    """Read a topic from the files of a bag, MCAP or sqlite3.
+    """Read a topic from the files of a bag, MCAP or sqlite3, in the order in which it was written.
+
+    Sorted by their times, the messages of a clock that was set back would be mixed.
 
     Raises:
         FormatError: if a file is damaged, or compresses its messages one by one.
     """
     for file in files:
-        yield from (_sqlite3 if file.suffix == ".db3" else _mcap)(file, topic)
+        yield from (_sqlite3 if file.suffix.lower() == ".db3" else _mcap)(file, topic)
 
 
 def _mcap(file: Path, topic: str) -> Iterator[Part]:
@@ -61,28 +63,73 @@ def _mcap(file: Path, topic: str) -> Iterator[Part]:
             f"{file}: ends without its summary: it was cut off; `mcap recover` mends it"
         )
     channels = {item.id for item in summary.channels.values() if item.topic == topic}
+    found = 0
+    for part in _parts(file, channels):
+        found += len(part.times)
+        yield part
+    if summary.statistics is not None:
+        counts = summary.statistics.channel_message_counts
+        wanted = sum(count for channel, count in counts.items() if channel in channels)
+        if found != wanted:
+            raise FormatError(
+                f"{file}: {topic}: expected {wanted} messages, as its summary says, got {found}: "
+                "`mcap recover` writes it anew"
+            )
+
+
+def _parts(file: Path, channels: set[int]) -> Iterator[Part]:
+    """The messages of some channels: of a chunk at once through its indexes, if it has any."""
     view = memoryview(file.read_bytes())
     chunk = b""
-    alone: list[tuple[int, bytes]] = []  # in no chunk
+    indexes: list[memoryview] = []
+    alone: list[tuple[int, bytes]] = []  # messages without an index
     for span in walk(view, len(MAGIC)):
         content = view[span.start : span.end]
-        if span.opcode == Opcode.CHUNK:
-            chunk = expand(content, verify=True)
-        elif span.opcode == Opcode.MESSAGE_INDEX:
-            if int.from_bytes(content[:2], "little") in channels:
-                yield _indexed(file, chunk, content)
-        elif span.opcode == Opcode.MESSAGE and int.from_bytes(content[:2], "little") in channels:
-            alone.append((int.from_bytes(content[6:14], "little"), bytes(content[22:])))
-        if len(alone) == BATCH:
+        if span.opcode == Opcode.MESSAGE_INDEX:
+            indexes.append(content)
+            continue
+        if chunk and indexes:
+            own = [each[6:] for each in indexes if _channel(each) in channels]
+            if own:
+                yield _indexed(file, chunk, own)
+        elif chunk:
+            inside = (chunk[s.start : s.end] for s in walk(chunk, 0) if s.opcode == Opcode.MESSAGE)
+            alone += (_message(each) for each in inside if _channel(each) in channels)
+        chunk, indexes = b"", []
+        if span.opcode == Opcode.MESSAGE and _channel(content) in channels:
+            alone.append(_message(content))
+        elif alone:
             yield _side_by_side(alone)
             alone = []
-    if alone:
-        yield _side_by_side(alone)
+        if span.opcode == Opcode.CHUNK:
+            chunk = _expanded(file, content)
 
 
-def _indexed(file: Path, chunk: bytes, content: memoryview) -> Part:
-    """The messages that a message index points at."""
-    entries = np.frombuffer(content[6:], _INDEX)
+def _channel(content: bytes | memoryview) -> int:
+    return int.from_bytes(content[:2], "little")
+
+
+def _message(content: bytes | memoryview) -> tuple[int, bytes]:
+    """Log time and payload of a message record."""
+    return int.from_bytes(content[6:14], "little"), bytes(content[22:])
+
+
+def _expanded(file: Path, content: memoryview) -> bytes:
+    try:
+        return expand(content, verify=True)
+    except FormatError as error:
+        raise FormatError(f"{file}: {error}") from error
+
+
+def _indexed(file: Path, chunk: bytes, indexes: Sequence[memoryview]) -> Part:
+    """The messages that message indexes point at, in the order in which they stand.
+
+    Indexes may be sorted by time, and there is one for each publisher.
+    """
+    if any(len(index) % _INDEX.itemsize for index in indexes):
+        raise FormatError(f"{file}: a message index that ends within an entry")
+    entries = np.frombuffer(b"".join(indexes), _INDEX)
+    entries = entries[np.argsort(entries["offset"], kind="stable")]
     data = np.frombuffer(chunk, np.uint8)
     offsets = entries["offset"].astype(np.int64)
     if len(offsets) and offsets.max() + _HEAD > len(data):
@@ -106,12 +153,13 @@ def _sqlite3(file: Path, topic: str) -> Iterator[Part]:
         raise FormatError(f"{file}: {error}") from error
     try:
         connection.execute(f"pragma mmap_size = {file.stat().st_size}")
-        ids = connection.execute("select id from topics where name = ?", (topic,)).fetchall()
-        query = "select timestamp, data from messages where topic_id = ?"
-        for one in ids:
-            rows = connection.execute(query, one)
-            while found := rows.fetchmany(BATCH):
-                yield _side_by_side(found)
+        rows = connection.execute(
+            "select timestamp, data from messages where topic_id in "
+            "(select id from topics where name = ?) order by id",
+            (topic,),
+        )
+        while found := rows.fetchmany(BATCH):
+            yield _side_by_side(found)
     except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"{file}: not an sqlite3 bag that can be read: {error}") from error
     finally:

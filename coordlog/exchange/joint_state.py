@@ -38,7 +38,7 @@ class JointStates(NamedTuple):
 
 
 def decode(parts: Iterable[Part], where: str) -> JointStates:
-    """Decode every message, a part at a time; in the order of their log times.
+    """Decode every message, a part at a time, in the order in which they were written.
 
     Raises:
         FormatError: if a message is not a JointState, or is of other joints than the first.
@@ -57,10 +57,6 @@ def decode(parts: Iterable[Part], where: str) -> JointStates:
     )
     speeds = [each.velocity for each in found if each.velocity is not None]
     velocity = np.concatenate(speeds) if len(speeds) == len(found) else None
-    if (np.diff(log) < 0).any():
-        order = np.argsort(log, kind="stable")
-        log, header, position = log[order], header[order], position[order]
-        velocity = None if velocity is None else velocity[order]
     return JointStates(found[0].names, log, header, position, velocity)
 
 

@@ -83,6 +83,8 @@ def read_info(path: Path) -> Json:
         raise FormatError(f"{file}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise FormatError(f"{file}: expected JSON, got: {error}") from error
+    if not isinstance(info, dict):
+        raise FormatError(f"{file}: expected a table, got {info!s:.40}")
     for name in ("codebase_version", "fps", "features", "total_episodes", "data_path"):
         if name not in info:
             raise FormatError(f"{file}: '{name}' missing: not a LeRobot data set of v2 or v3")
@@ -98,6 +100,9 @@ def read_info(path: Path) -> Json:
     fps = info["fps"]
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < math.inf:
         raise FormatError(f"{file}: fps: expected a positive number, got {fps!r}")
+    size = info.get("chunks_size", 1000)
+    if not isinstance(size, int) or size < 1:
+        raise FormatError(f"{file}: chunks_size: expected a positive whole number, got {size!r}")
     if not isinstance(info["data_path"], str):
         raise FormatError(f"{file}: data_path: expected a pattern, got {info['data_path']!r}")
     return dict(info)
@@ -175,7 +180,7 @@ def _v2(path: Path, info: Json) -> Iterator[Rows]:
             index, length = int(row["episode_index"]), int(row["length"])
         except (ValueError, KeyError, TypeError) as error:
             raise FormatError(f"{file}: line {number}: {error}") from error
-        chunk = index // int(info.get("chunks_size", 1000))
+        chunk = index // info.get("chunks_size", 1000)
         data = _data_file(path, info, episode_chunk=chunk, episode_index=index)
         yield Rows(index, length, data, (row.get("tasks") or [""])[0])
 

@@ -65,6 +65,8 @@ def motions(
                         f"{', '.join(own)}"
                     )
                 found = dict(zip(own, numbers, strict=True))
+                if any(isinstance(each, bool) for each in numbers):
+                    raise TypeError("got true or false")
                 rows.append([float(found[name]) for name in known])
                 stamps.append(message.log_time)
         except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -106,7 +108,7 @@ def is_ros2(path: Path) -> bool:
 def _messages(path: Path, reader: Any, topic: str) -> Iterator[Any]:
     """Schema, channel and message of all messages on a topic."""
     try:
-        yield from reader.iter_messages(topics=topic)
+        yield from reader.iter_messages(topics=topic, log_time_order=False)
     except Exception as error:  # the reader lets errors of its decompressors through
         raise _unreadable(path, error) from error
 

@@ -157,7 +157,8 @@ def require_usable(motion: Motion) -> None:
     back = motion.timing.backwards
     if back:
         at = back[0]
-        other = "--stamps chooses another clock, " if motion.format == "rosbag2" else ""
+        bag = motion.format == "rosbag2" and motion.clock != "time_from_start"
+        other = "--stamps chooses another clock, " if bag else ""
         lost = (motion.stamps[at - 1] - motion.stamps[at]) / NS
         raise FormatError(
             f"{motion}: sample {at}: expected time to go on, got a step back of {lost:.6g} s "

@@ -17,6 +17,8 @@ from coordlog.errors import FormatError
 NAMES = ("name", "names", "joint_names")
 """Columns of lists with the joints' names."""
 
+_POINTER = b"version https://git-lfs"
+
 
 def read_parquet(path: Path) -> pa.Table:
     """The table as it lies in the file.
@@ -25,6 +27,7 @@ def read_parquet(path: Path) -> pa.Table:
         FormatError: if it cannot be read, or two columns have one name.
     """
     try:
+        _require_content(path)
         file = pq.ParquetFile(path, page_checksum_verification=True)
         twice = _twice([item.name for item in file.schema_arrow])
         if twice:
@@ -37,6 +40,14 @@ def read_parquet(path: Path) -> pa.Table:
         raise FormatError(f"{path}: not Parquet that can be read: {said}") from error
 
 
+def _require_content(path: Path) -> None:
+    """Hold a file to be more than a pointer of Git LFS to what was not downloaded."""
+    with path.open("rb") as stream:
+        pointer = stream.read(len(_POINTER)) == _POINTER
+    if pointer:
+        raise FormatError(f"{path}: a pointer of Git LFS, not the file: `git lfs pull` gets it")
+
+
 def read_columns(path: Path, names: Sequence[str]) -> pa.Table:
     """Some columns of a file.
 
@@ -44,6 +55,7 @@ def read_columns(path: Path, names: Sequence[str]) -> pa.Table:
         FormatError: if it cannot be read or lacks one.
     """
     try:
+        _require_content(path)
         had = pq.read_schema(path).names
         lost = [name for name in names if name not in had]
         if lost:

@@ -56,10 +56,11 @@ def motions(path: Path, *, topic: str = "", stamps: str = "") -> Iterator[Motion
     """
     with opened(path) as bag:
         connection = chosen(bag, path, topic)
+        files = _files(bag, path)
         if connection.msgtype == JOINT_STATE:
-            yield _joint_states(_files(bag, path), path, connection.topic, stamps)
+            yield _joint_states(files, path, connection.topic, stamps)
             return
-        raw = [(int(time), bytes(data)) for _, time, data in bag.messages([connection])]
+        raw = list(_messages(files, connection.topic))
         if connection.msgtype == TRAJECTORY:
             yield from _trajectories(bag, connection, path, raw)
             return
@@ -74,7 +75,8 @@ def stamps_of(path: Path, topic: str) -> Array:
         if not found:
             names = ", ".join(sorted({item.topic for item in bag.connections}))
             raise ConfigError(f"{path}: no topic '{topic}'; it has {names}")
-        return np.array([time for _, time, _ in bag.messages(found)], np.int64)
+        parts = of_files(_files(bag, path), topic)
+        return np.concatenate([np.zeros(0, np.int64), *(part.times for part in parts)])
 
 
 @contextmanager
@@ -165,15 +167,35 @@ def _files(bag: Any, path: Path) -> list[Path]:
     return [Path(storage.path) for storage in reader.storage.storages]
 
 
+def _messages(files: list[Path], topic: str) -> Iterator[tuple[int, bytes]]:
+    """Log time and bytes of every message, as they were written."""
+    for part in of_files(files, topic):
+        rows = {
+            place: row.tobytes()
+            for places, data in part.groups
+            for place, row in zip(places.tolist(), data, strict=True)
+        }
+        yield from ((time, rows[i]) for i, time in enumerate(part.times.tolist()))
+
+
+def _deserialized(bag: Any, connection: Connection, data: bytes, where: str) -> Any:
+    try:
+        return bag.deserialize(data, connection.msgtype)
+    except Exception as error:  # whatever reading past the end of the bytes raises
+        raise FormatError(
+            f"{where}: expected a {connection.msgtype}, got other bytes: {error}"
+        ) from error
+
+
 def _dynamic(
     bag: Any, connection: Connection, path: Path, raw: list[tuple[int, bytes]], clock: str
 ) -> Motion:
     """All dynamic joint states of a topic: interface values by name."""
     rows = []
     for i, (_, data) in enumerate(raw):
-        message = bag.deserialize(data, connection.msgtype)
         found = {}
         where = f"{path}: {connection.topic}: message {i}"
+        message = _deserialized(bag, connection, data, where)
         if len(message.joint_names) != len(message.interface_values):
             raise FormatError(
                 f"{where}: expected interfaces of {len(message.joint_names)} joints, got "
@@ -225,14 +247,17 @@ def _trajectories(
 ) -> Iterator[Motion]:
     """Every trajectory message as a motion of its own; time counts from the message's log time."""
     for i, (time, data) in enumerate(raw):
-        message = bag.deserialize(data, connection.msgtype)
+        where = f"{path}: {connection.topic}: message {i}"
+        message = _deserialized(bag, connection, data, where)
+        if not message.joint_names:
+            raise FormatError(f"{where}: expected names of joints, got none")
         after = [p.time_from_start.sec * NS + p.time_from_start.nanosec for p in message.points]
         width = len(message.joint_names)
         for k, point in enumerate(message.points):
-            if not width or len(point.positions) != width:
+            if len(point.positions) != width:
                 raise FormatError(
-                    f"{path}: {connection.topic}: message {i}: point {k}: expected positions of "
-                    f"{width} joints, got {len(point.positions)}"
+                    f"{where}: point {k}: expected positions of {width} joints, got "
+                    f"{len(point.positions)}"
                 )
         position = np.array([point.positions for point in message.points], np.float64)
         moving = all(len(point.velocities) == width for point in message.points)

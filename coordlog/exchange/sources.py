@@ -10,7 +10,7 @@ from pathlib import Path
 from coordlog.errors import ConfigError, FormatError, StorageError
 from coordlog.exchange.motion import Motion
 
-KINDS = ("rosbag2", "mcap", "lerobot", "robomimic", "minari", "parquet", "csv")
+PACKED = (".zstd", ".zst", ".gz", ".xz", ".bz2", ".zip", ".tar", ".tgz", ".7z")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def motions(path: Path, reading: Reading) -> Iterator[Motion]:
 
 
 def kind_of(path: Path) -> str:
-    """One of `KINDS`.
+    """What kind of source lies there.
 
     Raises:
         StorageError: if the path does not exist.
@@ -68,11 +68,16 @@ def kind_of(path: Path) -> str:
         ):
             if (path / marker).is_file():
                 return kind
-        if any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):
+        inside = {file.suffix for file in path.iterdir()}
+        if inside & {".mcap", ".db3"}:
             raise FormatError(
                 f"{path}: a bag without its metadata.yaml: give its .mcap or .db3 file itself, or "
                 "`ros2 bag reindex` the folder"
             )
+        if ".bag" in inside:
+            raise FormatError(f"{path}: ROS 1 bags: `rosbags-convert` makes ROS 2 bags of them")
+        if inside & {".parquet", ".csv", ".tsv"}:
+            raise FormatError(f"{path}: a folder of tables: give its files themselves")
         raise FormatError(
             f"{path}: expected a folder with metadata.yaml (ROS 2 bag), meta/info.json (LeRobot) "
             "or data/metadata.json (Minari), got none of them"
@@ -87,23 +92,24 @@ def kind_of(path: Path) -> str:
         ".csv": "csv",
         ".tsv": "csv",
     }
-    if path.suffix == ".mcap":
+    suffix = path.suffix.lower()
+    if suffix == ".mcap":
         from coordlog.exchange.mcap_source import is_ros2
 
         return "rosbag2" if is_ros2(path) else "mcap"
-    if path.suffix == ".bag":
+    if suffix == ".bag":
         raise FormatError(f"{path}: a ROS 1 bag: `rosbags-convert` makes a ROS 2 bag of it")
-    if path.suffix in (".zstd", ".zst", ".gz"):
+    if suffix in PACKED:
         raise FormatError(
-            f"{path}: a compressed file: give the bag's folder, whose metadata.yaml says how, or "
-            "unpack it"
+            f"{path}: a compressed file or an archive: unpack it first; of a bag, give the folder, "
+            "whose metadata.yaml says how"
         )
-    if path.suffix not in suffixes:
+    if suffix not in suffixes:
         raise FormatError(
             f"{path}: expected .mcap, .db3, .hdf5, .parquet, .csv or the folder of a bag or data "
             f"set, got '{path.suffix}'"
         )
-    return suffixes[path.suffix]
+    return suffixes[suffix]
 
 
 def digest_of(path: Path) -> str:

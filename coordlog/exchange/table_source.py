@@ -59,7 +59,7 @@ def motions(
         ConfigError: if clock or columns must be named and are not.
     """
     notes: tuple[str, ...] = ()
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         raw, kind = read_parquet(path), "parquet"
     else:
         (raw, notes), kind = read_csv(path), "csv"

@@ -33,7 +33,6 @@ SITE, BODY = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY
 FRAME, GEOM = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_GEOM
 BOX, SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
 LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
-UNLIMITED = mujoco.mjtLimited.mjLIMITED_FALSE
 SOLID: dict[str, Any] = {"condim": 3, "margin": 0, "gap": 0, "group": 0, "priority": 0}
 MARKER: dict[str, Any] = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0}
 SENSORS = {
@@ -69,16 +68,7 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
     solid = _solid(spec)
     # A diverged state stays visible instead of jumping to zero.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    world.add_light(
-        name="sun",
-        pos=(0.6, -0.6, 2),
-        dir=(-0.3, 0.3, -1),
-        castshadow=True,
-        diffuse=(0.7, 0.7, 0.7),
-    )
-    camera = world.add_camera(name="front", pos=(1.25, -0.85, 0.95))
-    camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
-    camera.alt.xyaxes = (0.562, 0.827, 0, -0.30, 0.20, 0.93)
+    _lit(world)
     if scene.robot.soles:
         floor = {
             "size": (2, 2, 0.1),
@@ -110,6 +100,15 @@ def compose(scene: Scene, config: EnvConfig, radii: tuple[float, ...] = ()) -> S
     source = Source(printed(spec), assets)
     require_size(source, f"robot '{scene.robot.name}'")
     return source
+
+
+def _lit(world: Any) -> None:
+    """A light, and a camera in front of the robot."""
+    light = {"castshadow": True, "diffuse": (0.7, 0.7, 0.7)}
+    world.add_light(name="sun", pos=(0.6, -0.6, 2), dir=(-0.3, 0.3, -1), **light)
+    camera = world.add_camera(name="front", pos=(1.25, -0.85, 0.95))
+    camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+    camera.alt.xyaxes = (0.562, 0.827, 0, -0.30, 0.20, 0.93)
 
 
 def with_radii(source: Source, radii: tuple[float, ...]) -> Source:

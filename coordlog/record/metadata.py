@@ -172,18 +172,6 @@ def _layout(values: Json) -> Layout:
     return Layout(**{key: values.get(key, 0) for key in LAYOUT_KEYS})
 
 
-def decode_layout(env: Strings) -> tuple[Layout, tuple[str, ...]]:
-    """Layout and names of the arms out of the metadata record `coordlog.env`: all that decoding
-    messages needs.
-
-    Raises:
-        FormatError: if the record is not as declared.
-    """
-    _require_declared(ENV, tuple(env.items()))
-    values = decode({key: env[key] for key in ("layout", "arms")})
-    return _layout(values["layout"]), tuple(values["arms"])
-
-
 def require_version(episode: Strings) -> int:
     """The schema version that the metadata record `coordlog.episode` says, if it is one that this
     release reads.

@@ -1,8 +1,8 @@
 """Episode files back to memory.
 
 `read_episode` takes the file in one read and decodes each topic with one `np.frombuffer`, by the
-fields that the file's own schema declares; every chunk's CRC is verified. `read_header`,
-`read_result` and `read_summary` touch only the two ends. A file that is not a finished coordlog
+fields that the file's own schema declares; every chunk's CRC is verified. `read_header`
+and `read_summary` touch only the two ends. A file that is not a finished coordlog
 episode is refused in one sentence that says what it is instead.
 
 What is handed out has been vouched for: the metadata by the digests of the commit marker (of
@@ -78,16 +78,6 @@ def read_header(path: File) -> Header:
         if not set(HEADER_RECORDS) <= set(records):
             raise TruncatedError("ends within its opening metadata: nothing to recover")
         return decode_header(records)
-
-
-def read_result(path: File) -> Result:
-    """How a finished episode ended.
-
-    Raises:
-        TruncatedError: if there is no commit marker.
-        FormatError: if the file is not a coordlog episode of a version this release reads.
-    """
-    return read_summary(path).result
 
 
 def read_summary(path: File) -> Summary:

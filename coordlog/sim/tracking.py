@@ -22,8 +22,6 @@ from coordlog.sim.simulation import Simulation
 from coordlog.sim.traced import Traced
 from coordlog.spec import names
 
-ONE = np.zeros(1, dtype=np.int64)
-
 
 class Drive:
     """The action joints of one simulation, and the action that moves their servo targets.

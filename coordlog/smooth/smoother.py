@@ -53,9 +53,7 @@ def smooth(
         continuous: Columns of joints that turn without end; their angles are unwrapped first.
         joints: Names for the columns, for the reason.
         units: Unit of each column, for the reason: "rad" (all, if not given) or "m".
-        **options: Fields of `coordlog.smooth.config.Config`: method, cutoff, max_deviation,
-        clearance, ends, dense,
-            certify, budget.
+        **options: Fields of `coordlog.smooth.config.Config`.
 
     Returns:
         The path with its status: smoothed, partly, kept_raw or raw_infeasible.

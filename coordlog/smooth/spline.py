@@ -164,27 +164,8 @@ def fit(
         SpecError: if a shape is wrong, time does not increase, a value is not finite, or λ is
             beyond double precision.
     """
-    time, value, lam = (
-        np.asarray(time, dtype=float),
-        np.asarray(value, dtype=float),
-        np.asarray(lam, dtype=float),
-    )
-    if (
-        time.ndim != 1
-        or len(time) < 2
-        or not np.isfinite(time).all()
-        or not (np.diff(time) > 0.0).all()
-    ):
-        raise SpecError(
-            "time: expected at least two finite, strictly increasing times [s], got shape "
-            f"{time.shape}"
-        )
-    if value.ndim != 2 or len(value) != len(time) or not np.isfinite(value).all():
-        raise SpecError(
-            f"value: expected finite samples of shape ({len(time)}, n_j), got shape {value.shape}"
-        )
-    if lam.shape not in ((), (value.shape[1],)) or not (lam >= 0.0).all():
-        raise SpecError(f"lam: expected λ ≥ 0, one or {value.shape[1]} of them, got {lam}")
+    time, value, lam = (np.asarray(each, dtype=float) for each in (time, value, lam))
+    _require_samples(time, value, lam)
     w = _exact_ends(len(time)) if weight is None else np.asarray(weight, dtype=float)
     if w.shape != time.shape or not (w > 0.0).all():
         raise SpecError(
@@ -201,6 +182,26 @@ def fit(
         )
     grid = Grid(time, clamped=v is not None)
     return grid.fit_each(value, lam=np.broadcast_to(lam, value.shape[1:]), weight=w, velocity=v)
+
+
+def _require_samples(time: Floats, value: Floats, lam: Floats) -> None:
+    """Refuse samples and λ of a wrong shape or range."""
+    if (
+        time.ndim != 1
+        or len(time) < 2
+        or not np.isfinite(time).all()
+        or not (np.diff(time) > 0.0).all()
+    ):
+        raise SpecError(
+            "time: expected at least two finite, strictly increasing times [s], got shape "
+            f"{time.shape}"
+        )
+    if value.ndim != 2 or len(value) != len(time) or not np.isfinite(value).all():
+        raise SpecError(
+            f"value: expected finite samples of shape ({len(time)}, n_j), got shape {value.shape}"
+        )
+    if lam.shape not in ((), (value.shape[1],)) or not (lam >= 0.0).all():
+        raise SpecError(f"lam: expected λ ≥ 0, one or {value.shape[1]} of them, got {lam}")
 
 
 def _exact_ends(n: int) -> Floats:

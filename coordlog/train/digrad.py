@@ -102,37 +102,18 @@ class Learner:
         birth = torch.Generator().manual_seed(seed)
         self.actor = Actor(n_x, n_u, config=network, generator=birth).to(self.device)
         self.critic = Critic(n_x, n_u, k, config=network, generator=birth).to(self.device)
-        self.target_actor = (
-            Actor(n_x, n_u, config=network, generator=birth).to(self.device).requires_grad_(False)
-        )
-        self.target_critic = (
-            Critic(n_x, n_u, k, config=network, generator=birth)
-            .to(self.device)
-            .requires_grad_(False)
-        )
-        self.target_actor.load_state_dict(self.actor.state_dict())
-        self.target_critic.load_state_dict(self.critic.state_dict())
-
-        decayed = {
-            name: tensor
-            for name, tensor in self.critic.named_parameters()
-            if name.endswith("weight")
-        }
-        others = [tensor for name, tensor in self.critic.named_parameters() if name not in decayed]
-        groups: list[dict[str, Any]] = [
-            {"params": list(decayed.values()), "weight_decay": config.weight_decay},
-            {"params": others},
-        ]
+        self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
+        self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
         self.actor_optimiser = torch.optim.Adam(
             self.actor.parameters(), lr=config.actor_rate, fused=True
         )
-        self.critic_optimiser = torch.optim.Adam(groups, lr=config.critic_rate, fused=True)
+        self.critic_optimiser = torch.optim.Adam(
+            _decayed(self.critic, config.weight_decay), lr=config.critic_rate, fused=True
+        )
         self.generator = torch.Generator(self.device).manual_seed(seed)
 
-        online, targets = (
-            torch.nn.ModuleList([self.actor, self.critic]),
-            torch.nn.ModuleList([self.target_actor, self.target_critic]),
-        )
+        online = torch.nn.ModuleList([self.actor, self.critic])
+        targets = torch.nn.ModuleList([self.target_actor, self.target_critic])
         self._online, self._targets = (
             tuple[Tensor, ...](networks.parameters()) for networks in (online, targets)
         )
@@ -249,14 +230,8 @@ class Learner:
                 2 * effort / leaf.numel()
             )
             saturation = (leaf.abs() > SATURATED).to(q.dtype).mean()
-        self._step_actor(
-            action,
-            [
-                slope * weight / size
-                for slope, weight in zip(slopes, self._head_weights, strict=True)
-            ],
-            pull,
-        )
+        weighted = zip(slopes, self._head_weights, strict=True)
+        self._step_actor(action, [slope * weight / size for slope, weight in weighted], pull)
         return q.mean(dim=0) / self.config.reward_scale, behaviour, saturation
 
     def _step_actor(self, action: Tensor, ascents: list[Tensor], pull: Tensor) -> None:
@@ -268,24 +243,16 @@ class Learner:
             action.backward(gradient=pull - sum(ascents, torch.zeros_like(pull)))  # type: ignore[no-untyped-call]
         else:
             parameters = tuple(self.actor.parameters())
-            flat = [
-                torch.cat(
-                    [
-                        part.reshape(-1)
-                        for part in torch.autograd.grad(
-                            action, parameters, grad_outputs=-ascent, retain_graph=True
-                        )
-                    ]
+            flat = []
+            for ascent in ascents:
+                parts = torch.autograd.grad(
+                    action, parameters, grad_outputs=-ascent, retain_graph=True
                 )
-                for ascent in ascents
-            ]
+                flat.append(torch.cat([part.reshape(-1) for part in parts]))
             action.backward(gradient=pull)  # type: ignore[no-untyped-call]
             merged = project_conflicts(flat, generator=self.generator)
-            for parameter, part in zip(
-                parameters,
-                torch.split(merged, [parameter.numel() for parameter in parameters]),
-                strict=True,
-            ):
+            parts = torch.split(merged, [parameter.numel() for parameter in parameters])
+            for parameter, part in zip(parameters, parts, strict=True):
                 assert parameter.grad is not None
                 parameter.grad += part.view_as(parameter)
         self.actor_optimiser.step()
@@ -354,6 +321,14 @@ class Learner:
         self._last = (value, behaviour, saturation)
         self.updates = int(tensors["updates"])
         self.generator.set_state(tensors["generator"].cpu())
+
+
+def _decayed(critic: Critic, weight_decay: float) -> list[dict[str, Any]]:
+    """The critic's parameters as groups of an optimiser; weights alone decay."""
+    named = [*critic.named_parameters()]
+    weights = [tensor for name, tensor in named if name.endswith("weight")]
+    others = [tensor for name, tensor in named if not name.endswith("weight")]
+    return [{"params": weights, "weight_decay": weight_decay}, {"params": others}]
 
 
 def _moments(targets: torch.nn.Module, online: torch.nn.Module) -> list[tuple[Tensor, Tensor]]:

@@ -28,6 +28,7 @@ from coordlog.policies.checkpoint import (
     under,
 )
 from coordlog.policies.learned import Policy
+from coordlog.train.budget import Budget
 from coordlog.train.columns import Block, Columns
 from coordlog.train.digrad import Learner
 from coordlog.train.exploration import Exploring, Noise
@@ -41,8 +42,6 @@ from coordlog.train.task import Hooks, LiveSource, Outcome, Task
 from coordlog.train.transitions import Transitions
 
 KIND = "coordlog checkpoint"
-ROUND = 50
-"""Updates of a round without live steps: the longest wait for a stop."""
 
 
 class Trainer:
@@ -81,42 +80,27 @@ class Trainer:
         """
         self.task, self.settings, self.folder, self.source = task, settings, folder, source
         self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
-        loop, replay = settings.loop, settings.replay
         _require_device(device)
-        if source is not None and loop.steps == 0:
-            raise ConfigError(
-                "loop.steps: expected a budget of live steps, got 0; leave out the simulations to "
-                "train from logs alone"
-            )
-        if source is None and loop.updates == 0:
-            raise ConfigError(
-                "loop.updates: expected a budget of updates, got 0; only live steps can earn them"
-            )
-        if logs is None and loop.pretrain > 0:
-            raise ConfigError(
-                f"loop.pretrain: expected logs for {loop.pretrain} updates before the first live "
-                "step, got none"
-            )
+        self._budget = Budget.of(settings, live=source is not None, logs=logs is not None)
+        loop, gamma = settings.loop, settings.learner.gamma
         self.stream = logs if isinstance(logs, Stream) else None
         store = self._logged(logs)
         self.log_transitions = 0
         if store is not None:
             self.log_transitions = self.stream.transitions if self.stream else len(store)
-        self.buffer = (
-            None
-            if source is None
-            else Transitions.ring(
-                replay.capacity, source.lanes, widths=task.widths, reward=task.reward
+        lanes = 0 if source is None else source.lanes
+        self.buffer = None
+        if source is not None:
+            self.buffer = Transitions.ring(
+                settings.replay.capacity, lanes, widths=task.widths, reward=task.reward
             )
-        )
         self.replay = MixedReplay(
-            replay, task, gamma=settings.learner.gamma, logs=store, live=self.buffer, device=device
+            settings.replay, task, gamma=gamma, logs=store, live=self.buffer, device=device
         )
-        bounds = task.bounds(settings.learner.gamma)
-        mask = gradient_mask(task.arms, task.n_u)
+        bounds = task.bounds(gamma)
         self.learner = Learner(
             task.n_x,
-            mask,
+            gradient_mask(task.arms, task.n_u),
             network=settings.network,
             config=settings.learner,
             bounds=bounds,
@@ -127,7 +111,6 @@ class Trainer:
         self.steps, self.best = 0, dict[str, float]()
         self._evaluated = -1  # updates at the last evaluation
         self._rng = np.random.default_rng([loop.seed, 0])
-        lanes = 0 if source is None else source.lanes
         self._noise = Noise(
             lanes, task.n_u, correlation=settings.noise.correlation, seed=[loop.seed, 1]
         )
@@ -159,11 +142,8 @@ class Trainer:
 
     @property
     def progress(self) -> float:
-        """Share of the run that is over, counted in updates or in live steps, whichever is further
-        on.
-        """
-        live = self.steps / self.settings.loop.steps if self.source is not None else 0.0
-        return min(1.0, max(live, self.updates / max(1, self._earned(self.settings.loop.steps))))
+        """Share of the run that is over."""
+        return self._budget.progress(self.updates, self.steps)
 
     def run(self, *, resume: bool = False) -> Outcome:
         """Train until a budget is used up, the run diverges, or it is asked to stop; with `resume`,
@@ -174,9 +154,8 @@ class Trainer:
                 is, or cannot be written to.
             ConfigError: if the checkpoint was made with other settings.
         """
-        torch.set_num_threads(
-            1
-        )  # the other cores simulate; and sums are then ordered alike on every machine
+        # The other cores simulate; and sums are then ordered alike on every machine.
+        torch.set_num_threads(1)
         checkpoint = self.folder / "checkpoint.safetensors"
         if resume:
             self._load(checkpoint)
@@ -190,7 +169,7 @@ class Trainer:
         self._began = time.perf_counter() - self._elapsed
         self._mark = (self._elapsed, self.updates, self.steps)
         with ThreadPoolExecutor(max_workers=1) as pool, closing(self.stream or ExitStack()):
-            while (count := self._owed()) > 0 or self._collects():
+            while (count := self._budget.owed(self.updates, self.steps)) > 0 or self._collects:
                 if self.hooks.should_stop is not None and self.hooks.should_stop():
                     return self._end("stopped")
                 before = self.updates
@@ -219,35 +198,13 @@ class Trainer:
         }
         return Policy(actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
 
+    @property
     def _collects(self) -> bool:
-        """Whether the next round steps the simulations."""
-        loop = self.settings.loop
-        spent = 0 < loop.updates <= self.updates or self.steps >= loop.steps
-        return self.source is not None and self.updates >= loop.pretrain and not spent
-
-    def _earned(self, steps: int) -> int:
-        """Updates that the run may have made after so many live steps."""
-        loop = self.settings.loop
-        if self.source is None:
-            return loop.updates
-        earned = loop.pretrain + int(
-            loop.updates_per_step * max(0, steps - self.settings.replay.warmup)
-        )
-        return min(earned, loop.updates) if loop.updates > 0 else earned
-
-    def _owed(self) -> int:
-        """Updates of the next round: all that live steps have earned, or a few at a time without
-        them.
-        """
-        loop, owed = self.settings.loop, self._earned(self.steps) - self.updates
-        if self._collects():
-            return owed
-        intervals = (loop.metrics_every, loop.checkpoint_every, loop.evaluate_every or ROUND)
-        return min(owed, ROUND, *(every - self.updates % every for every in intervals))
+        return self._budget.collects(self.updates, self.steps)
 
     def _round(self, count: int, pool: ThreadPoolExecutor) -> None:
         """`count` updates, and one block of live steps with the actor as it was before them."""
-        if not self._collects():
+        if not self._collects:
             self._update(count)
             return
         assert self.source is not None
@@ -257,11 +214,9 @@ class Trainer:
             self._noise,
             deviation=self.settings.noise.at(self.progress),
         )
-        length = min(
-            self.settings.loop.block,
-            -(-(self.settings.loop.steps - self.steps) // self.source.lanes),
-        )
-        if self.settings.loop.overlap:
+        loop = self.settings.loop
+        length = min(loop.block, -(-(loop.steps - self.steps) // self.source.lanes))
+        if loop.overlap:
             under_way = pool.submit(self.source.collect, length, policy)
             self._update(count)
             block: Block = under_way.result()
@@ -334,9 +289,8 @@ class Trainer:
         found = self.hooks.evaluate(policy, self.updates)
         self._write("evaluation", dict(found))
         figures = {name: value for name, value in found.items() if not isinstance(value, str)}
-        if not self.best or [figures[name] for name in self.hooks.rank] > [
-            self.best[name] for name in self.hooks.rank
-        ]:
+        rank = self.hooks.rank
+        if not self.best or [figures[name] for name in rank] > [self.best[name] for name in rank]:
             self.best = figures
             policy.save(self.folder / "best.safetensors")
 

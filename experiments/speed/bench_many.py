@@ -21,8 +21,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 from urllib.request import Request, urlopen
 
 import numpy as np
@@ -35,13 +38,18 @@ from coordlog.catalog.query import Source, ask
 from coordlog.catalog.rows import KEPT
 from coordlog.catalog.selection import Split, select
 from coordlog.catalog.summary import summarise
+from coordlog.episode import Episode
 from coordlog.parallel import mapped
 from coordlog.record import manifest
 from coordlog.record.addresses import fetch, name_within
+from coordlog.record.container import Container
+from coordlog.record.metadata import RESULT, encode_commit, encode_header, sealed, vouched
 from coordlog.record.pack_writer import PackWriter
 from coordlog.record.packs import Pack
 from coordlog.record.places import Folder
+from coordlog.record.reader import metadata, read_episode
 from coordlog.record.store import ObjectStore
+from coordlog.record.writer import LIBRARY, write_episode
 from coordlog.verify.levels import check_files
 
 ROOT = Path(__file__).parents[2]
@@ -277,11 +285,43 @@ def peak(words: list[str]) -> float:
 
 
 def different(folder: Path, n: int) -> None:
-    """Small episodes whose headers and steps differ, a thousand to a folder."""
+    """Small episodes, a thousand to a folder: copies of a few with other headers."""
     from tests.catalog.logs import write
 
+    few = [_taken_apart(write(folder / f"{i}.mcap", i)) for i in range(20)]
+    for path in folder.glob("*.mcap"):
+        path.unlink()
     for i in range(n):
-        write(folder / f"{i // 1000:04}" / f"{i:07}.mcap", i)
+        path = folder / f"{i // 1000:04}" / f"{i:07}.mcap"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(_copied(*few[i % len(few)], i))
+
+
+def _taken_apart(path: Path) -> tuple[Episode, dict[str, tuple[int, int]], list[Any]]:
+    """An episode, what its commit marker says of messages, and its chunks."""
+    episode, chunks = read_episode(path), []
+    with patch.object(Container, "add_chunk", lambda self, chunk: chunks.append((self, chunk))):
+        write_episode(path.with_suffix(".b.mcap"), episode, attachments={}, display=False)
+    said = vouched(metadata(path.read_bytes()))["messages"]
+    defined = chunks[0][0]
+    return episode, said, [defined, *(chunk for _, chunk in chunks)]
+
+
+def _copied(
+    episode: Episode, messages: dict[str, tuple[int, int]], parts: list[Any], number: int
+) -> bytes:
+    """The same episode as if it were another of its run."""
+    about = {"id": f"{number:08x}", "seed": number, "index": number, "goals": [[number % 9, 0, 0]]}
+    header = encode_header(replace(episode.header, episode=episode.header.episode | about))
+    container = Container(LIBRARY)
+    for name, values in header.items():
+        container.add_metadata(name, values)
+    container._schemas, container._channels = parts[0]._schemas, parts[0]._channels
+    for chunk in parts[1:]:
+        container.add_chunk(chunk)
+    marker = encode_commit(episode.result, metadata=header, attachments={}, messages=messages)
+    container.commit(RESULT, partial(sealed, marker))
+    return container.drain()
 
 
 def storage(folder: Path, options: argparse.Namespace) -> Iterator[Row]:

@@ -17,7 +17,16 @@ from coordlog.errors import ConfigError, FormatError
 from coordlog.exchange.importing import Plan, understood
 from coordlog.exchange.lerobot_source import _names
 from coordlog.exchange.sources import Reading
-from tests.exchange.bags import JOINT_STATE, START, STORE, T, joint_state, recorded, stamp
+from tests.exchange.bags import (
+    JOINT_STATE,
+    START,
+    STORE,
+    T,
+    joint_state,
+    recorded,
+    stamp,
+    write_bag,
+)
 
 N = 8
 TIME = np.arange(N) / 50
@@ -104,7 +113,7 @@ def test_degrees_in_a_header_are_seen_however_they_are_spelled(tmp_path, name):
         ("# time,a\n0,1\n", "line 1: expected a header of column names, got a comment"),
         ("time,a,a\n0,1,2\n", "line 1: column 'a' stands twice"),
         ("time,a\n0,1\n1,N/A\n", "column 'a', row 1: expected a number, got 'N/A'"),
-        ("time,a\n0,1\n1\n", "Row #3: Expected 2 columns, got 1"),
+        ("time,a\n0,1\n1\n", "line 3: expected 2 columns, got 1"),
         ("time,a\n", "expected a row per sample"),
         ("time,a\nx,1\ny,2\n", "expected seconds, or dates and times"),
         ("episode,time,a\n0,0,1\n1,0,1\n0,1,1\n", "row 2: 0 comes again after others"),
@@ -238,7 +247,7 @@ def test_a_bag_compressed_whole_is_read_and_one_by_message_is_refused(tmp_path, 
     (bare,) = (path for path in (tmp_path / "MESSAGE").iterdir() if path.suffix != ".yaml")
     refused(bare, "got each compressed by itself")
     (file,) = (path for path in (tmp_path / "FILE").iterdir() if path.suffix != ".yaml")
-    refused(file, "a compressed file: give the bag's folder")
+    refused(file, "a compressed file or an archive: unpack it first")
     file.write_bytes(file.read_bytes()[:-9])
     refused(tmp_path / "FILE", "not a bag that can be read")
 
@@ -418,3 +427,40 @@ def test_a_minari_set_whose_metadata_is_broken_is_refused(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "metadata.json").write_text("{")
     refused(tmp_path, "metadata.json: expected JSON", rate=20.0)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_whose_clocks_were_both_set_back_is_not_sorted_into_one(tmp_path, rng, storage):
+    stamps, position = recorded(rng, 60)
+    stamps[30:] -= 500_000_000
+    bag = write_bag(tmp_path / "bag", stamps, position, storage=storage)
+    refused(bag, "sample 30: expected time to go on, got a step back")
+    refused(bag, "sample 30: expected time to go on, got a step back", stamps="log")
+    first, second = (
+        each.motion for each in understood(bag, Plan(Reading(), split_clock=True), None)
+    )
+    np.testing.assert_array_equal(np.concatenate([first.position, second.position]), position)
+
+
+def test_bars_part_columns_and_spaces_do_not(tmp_path):
+    (found,) = read(csv(tmp_path, {"time": TIME, **JOINTS}, sep="|"))
+    np.testing.assert_array_equal(found.position, Q)
+    refused(csv(tmp_path, {"time": TIME, **JOINTS}, sep=" "), "parted by a comma")
+    comma = csv(tmp_path, {"time": TIME, **JOINTS}, spell=lambda x: f"{x:.3f}".replace(".", ","))
+    refused(comma, "line 2: expected 3 columns, got 6.*if these are decimal commas")
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [("null", "expected a table, got None"), ("[1]", r"expected a table, got \[1")],
+)
+def test_metadata_that_is_no_table_is_refused(tmp_path, info, said):
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/info.json").write_text(info)
+    refused(tmp_path, said)
+
+
+def test_a_pointer_of_git_lfs_and_a_folder_of_tables_are_said(tmp_path):
+    (tmp_path / "x.parquet").write_text("version https://git-lfs.github.com/spec/v1\nsize 1\n")
+    refused(tmp_path / "x.parquet", "a pointer of Git LFS")
+    refused(tmp_path, "a folder of tables: give its files")

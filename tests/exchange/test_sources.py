@@ -306,7 +306,7 @@ def test_a_csv_is_read_whatever_its_line_ends(tmp_path, data):
         ("time;a\n0,0;1,5\n", "line 2: expected numbers with a decimal point, got '0,0'"),
         ("time,a_deg\n0,90\n", "column 'a_deg': expected radians, its name says degrees"),
         ("time,a [deg]\n0,90\n", "its name says degrees; pass --degrees"),
-        ("time,a\n0,1.5\n0.1\n", "x.csv: Row #3: Expected 2 columns, got 1"),
+        ("time,a\n0,1.5\n0.1\n", "x.csv: line 3: expected 2 columns, got 1"),
         ("time,a\n0,1.5\n0.1,\n", "column 'a', row 1: expected a number, got nothing"),
         ("time,a\n0,left\n", "column 'a': expected numbers, got text such as 'left'"),
         ("", "expected a header of column names in line 1"),

@@ -14,13 +14,12 @@ from coordlog.record.reader import (
     read_attachments,
     read_episode,
     read_header,
-    read_result,
     read_summary,
 )
 from coordlog.record.writer import LIBRARY
 from tests.synthetic import ATTACHMENTS, assert_same
 
-READERS = (probe, read_episode, read_header, read_result, read_summary)
+READERS = (probe, read_episode, read_header, read_summary)
 
 
 def foreign_mcap(path, *, profile="", library="libmcap 1.4.0"):
@@ -84,7 +83,7 @@ def test_a_missing_file_is_a_storage_error(tmp_path, read):
         read(tmp_path / "nowhere.mcap")
 
 
-@pytest.mark.parametrize("read", [probe, read_episode, read_result, read_summary])
+@pytest.mark.parametrize("read", [probe, read_episode, read_summary])
 def test_a_truncated_file_says_how_to_recover_it(file, read):
     os.truncate(file, file.stat().st_size // 2)
     with pytest.raises(
@@ -101,7 +100,7 @@ def test_a_finished_file_without_commit_marker_is_truncated(tmp_path, episode):
         container.add_metadata(name, values)
     container.finish()
     (tmp_path / "a.mcap").write_bytes(container.drain())
-    for read in (read_episode, read_result):
+    for read in (read_episode, read_summary):
         with pytest.raises(TruncatedError, match="commit marker"):
             read(tmp_path / "a.mcap")
 

@@ -15,7 +15,6 @@ from coordlog.record.reader import (
     read_attachments,
     read_episode,
     read_header,
-    read_result,
     read_summary,
 )
 from coordlog.record.writer import EpisodeWriter, write_episode
@@ -68,7 +67,7 @@ def test_reading_gives_what_was_written(tmp_path, layout, length, seed, display,
     assert_same(read_episode(file), episode)
     assert read_attachments(file) == ATTACHMENTS
     assert read_header(file) == episode.header
-    assert read_result(file) == episode.result
+    assert read_summary(file).result == episode.result
     assert read_summary(file).size == file.stat().st_size
     assert os.listdir(tmp_path) == ["episode.mcap"]
 

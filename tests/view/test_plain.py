@@ -4,18 +4,23 @@ import json
 import subprocess
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import rerun as rr
 
 from coordlog.errors import ViewerError
+from coordlog.record.recording import Recording
 from coordlog.record.writer import write_episode
-from coordlog.spec import ARM, JOINT_STATE_TOPIC, REACH, STEP, TASK_TOPIC
+from coordlog.sim.description import GRAIN
+from coordlog.spec import ARM, JOINT_STATE_TOPIC, REACH, STEP, TASK_TOPIC, TRANSFORMS_TOPIC
 from coordlog.view import viewer
 from coordlog.view.headless import Headless
 from coordlog.view.plain import APPLICATION, foxglove_layout, plain_blueprint
 from coordlog.view.viewer import BINARY
 
 DOCS = Path(__file__).parents[2] / "docs" / "viewers"
+LOG = next((Path(__file__).parents[1] / "data" / "v2" / "table").glob("*.mcap"))
 
 
 @pytest.mark.parametrize("scene", ["free", "planar"])
@@ -51,21 +56,58 @@ def test_plain_rerun_plots_a_converted_file_by_the_blueprint(shows, scene, tmp_p
         raise
 
 
-def test_joint_states_decode_natively_by_name(shows, tmp_path):
-    episode = shows["free"].episode
-    write_episode(tmp_path / "a.mcap", episode, attachments={}, display=True)
-    command = [BINARY, "mcap", "convert", tmp_path / "a.mcap", "-o", tmp_path / "a.rrd"]
-    subprocess.run(command, check=True, capture_output=True, env=viewer.environment(tmp_path))
-    chunks = (
-        rr.chunk.RrdReader(str(tmp_path / "a.rrd"))
-        .stream()
-        .filter(content=f"{JOINT_STATE_TOPIC}/position")
-        .to_chunks()
-    )
-    names = {
-        name for chunk in chunks for name in chunk.to_record_batch()["SeriesLines:names"][0].as_py()
+@pytest.fixture(scope="module")
+def converted(tmp_path_factory):
+    """A recording with everything for viewers, and what `rerun mcap convert` makes of its file."""
+    folder, stored = tmp_path_factory.mktemp("converted"), Recording(LOG)
+    write_episode(folder / "a.mcap", stored.episode, attachments=stored.attachments, display=True)
+    command = [BINARY, "mcap", "convert", folder / "a.mcap", "-o", folder / "a.rrd"]
+    subprocess.run(command, check=True, capture_output=True, env=viewer.environment(folder))
+    return stored, rr.chunk.RrdReader(str(folder / "a.rrd"))
+
+
+def values(reader, content, name):
+    """One component of some entities as plain rows, and the paths that have it."""
+    chunks = reader.stream().filter(content=content).to_chunks()
+    named = [(chunk.entity_path, chunk.to_record_batch()) for chunk in chunks]
+    named = [(path, batch) for path, batch in named if name in batch.schema.names]
+    return [row for _, batch in named for row in batch[name].to_pylist()], {
+        path for path, _ in named
     }
-    assert names == {joint["name"] for joint in episode.header.env["joints"]}
+
+
+def test_joint_states_decode_natively_by_name(converted):
+    stored, reader = converted
+    rows, _ = values(reader, f"{JOINT_STATE_TOPIC}/position", "SeriesLines:names")
+    assert set(rows[0]) == {joint["name"] for joint in stored.header.env["joints"]}
+
+
+def test_every_link_has_its_geometry_and_moves_as_mujoco_says(converted):
+    stored, reader = converted
+    model, data = stored.model, mujoco.MjData(stored.model)
+    solid = {model.body(int(model.geom_bodyid[i])).name for i in range(model.ngeom)} - {"world"}
+    _, paths = values(reader, "/scene/**", "CoordinateFrame:frame")
+    assert solid <= {path.split("/")[3] for path in paths if path.count("/") == 4}
+
+    names = ("child_frame", "parent_frame", "translation", "quaternion")
+    columns = [
+        values(reader, TRANSFORMS_TOPIC, name)[0]
+        for name in ("message_log_time", *(f"Transform3D:{name}" for name in names))
+    ]
+    rows = sorted(zip(*columns, strict=True), key=lambda row: row[0], reverse=True)
+    first = {child: (parent, at, quat) for _, (child,), (parent,), (at,), (quat,) in rows}
+    assert solid <= set(first)
+    data.qpos[:] = stored.episode.qpos[0]
+    mujoco.mj_kinematics(model, data)
+    for link in solid:
+        frame, place = link, np.zeros(3)
+        while frame in first:
+            frame, at, quat = first[frame]
+            turned = np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, place, np.roll(quat, 1).astype(float))
+            place = turned + at
+        if model.body(link).mocapid[0] < 0:
+            np.testing.assert_allclose(place, data.body(link).xpos, atol=12 * GRAIN)
 
 
 @pytest.mark.parametrize("scene", ["table", "planar"])
