@@ -116,7 +116,7 @@ class Catalog:
         parts = self.parts()
         if len(parts) == 1 and isinstance(self._place, Folder):
             path = self._place.path / parts[0]
-            with suppress(pa.ArrowInvalid, OSError):
+            with suppress(pa.ArrowException, OSError):
                 schema = pq.read_schema(path)
                 about = schema.metadata or {}
                 whole = about.get(b"coordlog_catalog") == EDITION.encode()
@@ -274,8 +274,10 @@ class Catalog:
                 raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
             if table.schema.names != KEPT.names:
                 raise ValueError("it has other columns than its edition")
+            if table.column("path").null_count:
+                raise ValueError("it has rows of no file")
             return table.cast(KEPT)
-        except (pa.ArrowInvalid, OSError, ValueError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:
             self._notes.append(
                 f"{self.root}/{name}: cannot be used and is written anew: "
                 f"{str(error).splitlines()[0]}"

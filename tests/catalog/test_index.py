@@ -146,7 +146,9 @@ def test_a_broken_file_is_named_and_not_read_again(logs: Path) -> None:
     assert again.episodes().num_rows == 5
 
 
-@pytest.mark.parametrize("damage", ["cut off", "emptied", "of another edition"])
+@pytest.mark.parametrize(
+    "damage", ["cut off", "emptied", "of another edition", "path of nulls", "arms of numbers"]
+)
 def test_a_catalogue_that_cannot_be_used_is_made_anew_and_that_is_said(
     logs: Path, damage: str
 ) -> None:
@@ -155,6 +157,10 @@ def test_a_catalogue_that_cannot_be_used_is_made_anew_and_that_is_said(
     if damage == "of another edition":
         table = wanted.replace_schema_metadata({"coordlog_catalog": "0"})
         pq.write_table(table, part)
+    elif " of " in damage:
+        name, values = damage.split(" of ")
+        at, odd = wanted.schema.names.index(name), [None if values == "nulls" else 7] * len(wanted)
+        pq.write_table(wanted.set_column(at, name, pa.array(odd)), part)
     else:
         part.write_bytes(part.read_bytes()[: 100 if damage == "cut off" else 0])
     catalog = Catalog(logs)
