@@ -45,52 +45,53 @@ def index(
 
         coordlog index PACK/ --verify
     """
+    reports = [
+        _bring(each, compact=compact, rebuild=rebuild, verify=verify, jobs=jobs, quiet=as_json)
+        for each in path
+    ]
+    if as_json:
+        terminal.print_json(reports)
+    if any(report["mismatches"] for report in reports):
+        raise typer.Exit(EXIT_CHECK_FAILED)
+    if any(report["left_out"] for report in reports):
+        some = any(report["episodes"] for report in reports)
+        raise typer.Exit(EXIT_PARTIAL if some else EXIT_BAD_INPUT)
+
+
+def _bring(
+    path: Path, *, compact: bool, rebuild: bool, verify: bool, jobs: str, quiet: bool
+) -> dict[str, Any]:
+    """Bring one catalogue up to date and say what came of it."""
     from coordlog.catalog.index import Catalog
     from coordlog.record.files import Files, Skipped, find_files, nothing_found
     from coordlog.record.places import is_url
 
-    reports: list[dict[str, Any]] = []
-    left_out: list[str] = []
-    mismatches = 0
-    for each in path:
-        if each.is_file():
-            raise ConfigError(f"{each}: expected a folder, a pack or an address, got a file")
-        catalog = Catalog(each)
-        files = Files((), ()) if is_url(each) else find_files(each)
-        change = _update(catalog, each, rebuild=rebuild, jobs=jobs)
-        wrong = catalog.verify() if verify else []
-        if compact:
-            catalog.compact()
-        bad = catalog.broken()
-        broken = [Skipped(catalog.store.path(name), why) for name, why in bad]
-        files = files._replace(paths=(), skipped=(*files.skipped, *broken))
-        left_out += files.left_out()
-        mismatches += len(wrong)
-        count = catalog.episodes().num_rows
-        reports.append(
-            {
-                "root": catalog.root,
-                "episodes": count,
-                **{name: getattr(change, name) for name in ("new", "changed", "gone")},
-                "broken": dict(bad),
-                "left_out": files.left_out(),
-                "mismatches": [item._asdict() for item in wrong],
-            }
-        )
-        for note in change.notes:
-            terminal.note(note)
-        if not as_json:
-            _show(catalog.root, count, change, files.left_out(), wrong)
-        if not count and not change.gone and not broken:
-            raise nothing_found([each], files)
-    if as_json:
-        terminal.print_json(reports)
-    if mismatches:
-        raise typer.Exit(EXIT_CHECK_FAILED)
-    if left_out and not any(report["episodes"] for report in reports):
-        raise typer.Exit(EXIT_BAD_INPUT)
-    if left_out:
-        raise typer.Exit(EXIT_PARTIAL)
+    if path.is_file():
+        raise ConfigError(f"{path}: expected a folder, a pack or an address, got a file")
+    catalog = Catalog(path)
+    files = Files((), ()) if is_url(path) else find_files(path)
+    change = _update(catalog, path, rebuild=rebuild, jobs=jobs)
+    wrong = catalog.verify() if verify else []
+    if compact:
+        catalog.compact()
+    bad = catalog.broken()
+    broken = [Skipped(catalog.store.path(name), why) for name, why in bad]
+    files = files._replace(paths=(), skipped=(*files.skipped, *broken))
+    count = catalog.episodes().num_rows
+    for note in change.notes:
+        terminal.note(note)
+    if not quiet:
+        _show(catalog.root, count, change, files.left_out(), wrong)
+    if not count and not change.gone and not broken:
+        raise nothing_found([path], files)
+    return {
+        "root": catalog.root,
+        "episodes": count,
+        **{name: getattr(change, name) for name in ("new", "changed", "gone")},
+        "broken": dict(bad),
+        "left_out": files.left_out(),
+        "mismatches": [item._asdict() for item in wrong],
+    }
 
 
 def _update(catalog: Catalog, path: Path, *, rebuild: bool, jobs: str) -> Change:

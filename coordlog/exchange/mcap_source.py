@@ -57,17 +57,8 @@ def motions(
                 if not fields[1]:
                     fields = _guess(where, value, fixed)
                 own = fixed or tuple(map(str, _list(where, value, fields[0])))
-                numbers = _list(where, value, fields[1])
                 known = known or own
-                if sorted(own) != sorted(known) or len(numbers) != len(own):
-                    raise FormatError(
-                        f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of "
-                        f"{', '.join(own)}"
-                    )
-                found = dict(zip(own, numbers, strict=True))
-                if any(isinstance(each, bool) for each in numbers):
-                    raise TypeError("got true or false")
-                rows.append([float(found[name]) for name in known])
+                rows.append(_row(where, known, own, _list(where, value, fields[1])))
                 stamps.append(message.log_time)
         except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise FormatError(f"{path}: message {len(rows)}: expected JSON: {error}") from error
@@ -85,6 +76,26 @@ def motions(
         clock="log time",
         where={"topic": chosen, "names": fields[0], "position": fields[1]},
     )
+
+
+def _row(
+    where: str, known: tuple[str, ...], own: tuple[str, ...], numbers: list[Any]
+) -> list[float]:
+    """The positions of the joints `known`, of a message that may name them in another order.
+
+    Raises:
+        FormatError: if the message is of other joints.
+        TypeError: if it holds no numbers.
+    """
+    if sorted(own) != sorted(known) or len(numbers) != len(own):
+        raise FormatError(
+            f"{where}: expected positions of {', '.join(known)}, got {len(numbers)} of "
+            f"{', '.join(own)}"
+        )
+    if any(isinstance(each, bool) for each in numbers):
+        raise TypeError("got true or false")
+    found = dict(zip(own, numbers, strict=True))
+    return [float(found[name]) for name in known]
 
 
 def is_ros2(path: Path) -> bool:

@@ -82,13 +82,12 @@ class Trainer:
         self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
         _require_device(device)
         self._budget = Budget.of(settings, live=source is not None, logs=logs is not None)
-        loop, gamma = settings.loop, settings.learner.gamma
         self.stream = logs if isinstance(logs, Stream) else None
         store = self._logged(logs)
         self.log_transitions = 0
         if store is not None:
             self.log_transitions = self.stream.transitions if self.stream else len(store)
-        lanes = 0 if source is None else source.lanes
+        gamma, lanes = settings.learner.gamma, 0 if source is None else source.lanes
         self.buffer = None
         if source is not None:
             self.buffer = Transitions.ring(
@@ -98,24 +97,28 @@ class Trainer:
             settings.replay, task, gamma=gamma, logs=store, live=self.buffer, device=device
         )
         bounds = task.bounds(gamma)
-        self.learner = Learner(
+        self.learner = self._untaught(bounds)
+        self.steps, self.best = 0, dict[str, float]()
+        self._evaluated = -1  # updates at the last evaluation
+        seed, noise = settings.loop.seed, settings.noise
+        self._rng = np.random.default_rng([seed, 0])
+        self._noise = Noise(lanes, task.n_u, correlation=noise.correlation, seed=[seed, 1])
+        self._tally, self._watch = Tally(tuple(task.arms), device=device), Watch(bounds)
+        self._elapsed, self._mark = 0.0, (0.0, 0, 0)
+
+    def _untaught(self, bounds: tuple[float, float]) -> Learner:
+        """The learner before its first update."""
+        task, loop = self.task, self.settings.loop
+        return Learner(
             task.n_x,
             gradient_mask(task.arms, task.n_u),
-            network=settings.network,
-            config=settings.learner,
+            network=self.settings.network,
+            config=self.settings.learner,
             bounds=bounds,
             seed=loop.seed,
             average=loop.average,
-            device=device,
+            device=self._device,
         )
-        self.steps, self.best = 0, dict[str, float]()
-        self._evaluated = -1  # updates at the last evaluation
-        self._rng = np.random.default_rng([loop.seed, 0])
-        self._noise = Noise(
-            lanes, task.n_u, correlation=settings.noise.correlation, seed=[loop.seed, 1]
-        )
-        self._tally, self._watch = Tally(tuple(task.arms), device=device), Watch(bounds)
-        self._elapsed, self._mark = 0.0, (0.0, 0, 0)
 
     def _logged(self, logs: Columns | Stream | None) -> Transitions | None:
         """The store of logged transitions.

@@ -52,9 +52,9 @@ def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, agains
             colour.
         against: What x counts.
     """
-    columns = max(len(curves) for curves in scenes.values())
-    figure = Figure(figsize=(4.4 * columns, 3.3 * len(scenes) + 0.5), layout="constrained")
-    grid = figure.subplots(len(scenes), columns, squeeze=False, sharex="row")
+    names = [name for name in PANELS if any(name in curves for curves in scenes.values())]
+    figure = Figure(figsize=(4.4 * len(names), 3.3 * len(scenes) + 0.5), layout="constrained")
+    grid = figure.subplots(len(scenes), len(names), squeeze=False, sharex="row")
     for axes_of_scene, (scene, curves) in zip(grid, scenes.items(), strict=True):
         labels = list(
             dict.fromkeys(curve.label for members in curves.values() for curve in members)
@@ -63,10 +63,8 @@ def curves_figure(scenes: Mapping[str, Mapping[str, Sequence[Curve]]], *, agains
             label: tuple(part / 255 for part in cycle(JOINTS, i)[:3])
             for i, label in enumerate(labels)
         }
-        for axes in axes_of_scene[len(curves) :]:
-            axes.set_axis_off()
-        for axes, name in zip(axes_of_scene, curves, strict=False):
-            for curve in curves[name]:
+        for axes, name in zip(axes_of_scene, names, strict=True):
+            for curve in curves.get(name, ()):
                 _draw(axes, curve, colours[curve.label])
             axes.set(title=f"{scene}: {PANELS[name]}", xlabel=against)
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))

@@ -55,7 +55,7 @@ def plot_joints(
 
     Series of one joint have one name, so that the legend stays short and switches all of them.
     """
-    episode, path, spline = stage.episode, stage.episode.path, stage.spline
+    episode = stage.episode
     names = [stage.robot.action_joints[i] + suffix for i in index]
     own = [cycle(JOINTS, i) for i in range(len(index))]
     colours, width = ([pale(colour) for colour in own], 1.0) if behind else (own, 2.0)
@@ -80,49 +80,48 @@ def plot_joints(
         held=True,
     )
     if not behind:
-        ends, limits = (
-            clock(episode.time[[0, -1]]),
-            stage.geometry.limits[index].ravel(),
-        )  # low and high of each joint
-        faint, twice = (
-            [pale(colour, 0.45) for colour in own for _ in "lh"],
-            [name for name in names for _ in "lh"],
-        )
-        lines(
-            draft,
-            stage.entity("joint", group, "limits"),
-            ends,
-            np.tile(limits, (2, 1)),
-            names=twice,
-            colours=faint,
-            width=0.6,
-        )
-    if path is not None and spline is not None:
-        light, (time, position) = [bright(colour, 0.4) for colour in own], spline
-        lines(
-            draft,
-            stage.entity("joint", group, "spline"),
-            clock(time),
-            position[:, index],
-            names=names,
-            colours=light,
-            width=2.0,
-        )
-        knots, sizes = (
-            stage.entity("joint", group, "knots"),
-            np.full(len(own), 2.5, dtype=np.float32),
-        )
-        diamonds = [rr.components.MarkerShape.Diamond] * len(own)
-        draft.log(
-            knots, rr.SeriesPoints, colors=own, markers=diamonds, marker_sizes=sizes, names=names
-        )
-        draft.columns(
-            knots,
-            clock(path.knot_time),
-            rr.Scalars,
-            len(index),
-            scalars=path.knot_position[:, index].ravel(),
-        )
+        _plot_limits(draft, stage, group, index, names)
+    _plot_spline(draft, stage, group, index, names)
+
+
+def _plot_limits(
+    draft: Draft, stage: Stage, group: str, index: list[int], names: list[str]
+) -> None:
+    """Log the low and the high limit of each joint, faintly."""
+    lines(
+        draft,
+        stage.entity("joint", group, "limits"),
+        clock(stage.episode.time[[0, -1]]),
+        np.tile(stage.geometry.limits[index].ravel(), (2, 1)),
+        names=[name for name in names for _ in "lh"],
+        colours=[pale(cycle(JOINTS, i), 0.45) for i in range(len(index)) for _ in "lh"],
+        width=0.6,
+    )
+
+
+def _plot_spline(
+    draft: Draft, stage: Stage, group: str, index: list[int], names: list[str]
+) -> None:
+    """Log the path that was to be followed, and its knots, where there is one."""
+    path, spline = stage.episode.path, stage.spline
+    if path is None or spline is None:
+        return
+    time, position = spline
+    own = [cycle(JOINTS, i) for i in range(len(index))]
+    lines(
+        draft,
+        stage.entity("joint", group, "spline"),
+        clock(time),
+        position[:, index],
+        names=names,
+        colours=[bright(colour, 0.4) for colour in own],
+        width=2.0,
+    )
+    knots, sizes = stage.entity("joint", group, "knots"), np.full(len(own), 2.5, np.float32)
+    diamonds = [rr.components.MarkerShape.Diamond] * len(own)
+    draft.log(knots, rr.SeriesPoints, colors=own, markers=diamonds, marker_sizes=sizes, names=names)
+    values = path.knot_position[:, index]
+    draft.columns(knots, clock(path.knot_time), rr.Scalars, len(index), scalars=values.ravel())
 
 
 def plot_outcomes(draft: Draft, stage: Stage, *, behind: bool, suffix: str) -> None:
