@@ -163,7 +163,7 @@ def test_ctrl_c_closes_open_episodes_and_exits_130(tmp_path: Path) -> None:
 
 
 def test_killed_runs_leave_finished_and_recoverable_episodes(tmp_path: Path) -> None:
-    for number in range(3):
+    for number in (0, 2):
         folder = tmp_path / str(number)
         args = [
             "record",

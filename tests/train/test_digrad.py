@@ -118,7 +118,7 @@ class PlainDdpg:
 def test_one_task_is_ddpg(rng: np.random.Generator) -> None:
     made = learner({"only": [0, 1, 2, 3]})
     oracle = PlainDdpg(made, DDPG)
-    for _ in range(300):
+    for _ in range(100):
         data = batch(rng, 1)
         made.update(data)
         oracle.update(data)
@@ -507,7 +507,7 @@ def test_two_tasks_that_share_an_action_are_solved(
     made = Learner(
         1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0
     )
-    for _ in range(1000):
+    for _ in range(400):
         state, action = (
             torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3)
         )

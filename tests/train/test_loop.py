@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,20 +25,20 @@ SMALL = (
     "network.hidden=[24,24]",
     "replay.batch=32",
     "replay.warmup=64",
-    "replay.capacity=300",
+    "replay.capacity=200",
     "replay.hindsight=0.25",
 )
 SHORT = (
     *SMALL,
-    "loop.metrics_every=20",
-    "loop.evaluate_every=40",
-    "loop.checkpoint_every=30",
+    "loop.metrics_every=10",
+    "loop.evaluate_every=20",
+    "loop.checkpoint_every=15",
     "loop.block=4",
     "noise.correlation=0.5",
 )
-LOGS = (*SHORT, "loop.updates=100")
-LIVE = (*SHORT, "loop.updates=0", "loop.steps=448", "loop.updates_per_step=0.3")
-BOTH = (*LIVE, "loop.pretrain=30")
+LOGS = (*SHORT, "loop.updates=50")
+LIVE = (*SHORT, "loop.updates=0", "loop.steps=256", "loop.updates_per_step=0.3")
+BOTH = (*LIVE, "loop.pretrain=15")
 
 
 def settings(*assignments: str, preset: str = "default") -> Settings:
@@ -92,24 +93,40 @@ KINDS = {
 }
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, Outcome]]:
+    """The run of a kind that nothing stopped, made once: its folder, and how it ended."""
+
+    @functools.cache
+    def made(kind: str) -> tuple[Path, Outcome]:
+        assignments, logs, live = KINDS[kind]
+        folder = tmp_path_factory.mktemp(kind)
+        return folder, trainer(folder, settings(*assignments), logs=logs, live=live).run()
+
+    return made
+
+
+def the_same(found: Path, wanted: Path) -> None:
+    assert metrics(found) == metrics(wanted)
+    assert weights(found) == weights(wanted)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rounds", [1, 2, 5])
 def test_a_stopped_run_continues_as_if_it_had_not_been(
-    kind: str, rounds: int, tmp_path: Path
+    kind: str, rounds: int, whole: Callable[[str], tuple[Path, Outcome]], tmp_path: Path
 ) -> None:
     assignments, logs, live = KINDS[kind]
-    wanted = settings(*assignments)
-    whole = trainer(tmp_path / "whole", wanted, logs=logs, live=live).run()
-    assert whole.ending == "finished"
+    wanted, (folder, through) = settings(*assignments), whole(kind)
+    assert through.ending == "finished"
     stopping = Hooks(evaluate=evaluate, should_stop=stop_after(rounds))
-    stopped = trainer(tmp_path / "parts", wanted, logs=logs, live=live, hooks=stopping).run()
+    stopped = trainer(tmp_path, wanted, logs=logs, live=live, hooks=stopping).run()
     assert stopped.ending == "stopped"
-    assert stopped.updates + stopped.steps < whole.updates + whole.steps
-    resumed = trainer(tmp_path / "parts", wanted, logs=logs, live=live).run(resume=True)
-    assert resumed == whole
-    assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
-    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
-    best = [Policy.load(tmp_path / name / "best.safetensors").arrays for name in ("parts", "whole")]
+    assert stopped.updates + stopped.steps < through.updates + through.steps
+    resumed = trainer(tmp_path, wanted, logs=logs, live=live).run(resume=True)
+    assert resumed == through
+    the_same(tmp_path, folder)
+    best = [Policy.load(each / "best.safetensors").arrays for each in (tmp_path, folder)]
     assert all(np.array_equal(best[0][name], best[1][name]) for name in best[1])
 
 
@@ -130,38 +147,32 @@ class KilledError(Exception):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_killed_run_continues_from_its_last_checkpoint(kind: str, tmp_path: Path) -> None:
+def test_a_killed_run_continues_from_its_last_checkpoint(
+    kind: str, whole: Callable[[str], tuple[Path, Outcome]], tmp_path: Path
+) -> None:
     assignments, logs, live = KINDS[kind]
     wanted = settings(*assignments)
-    trainer(tmp_path / "whole", wanted, logs=logs, live=live).run()
 
     def kill(row: dict[str, object]) -> None:
-        if int(str(row["update"])) >= 75:
+        if int(str(row["update"])) >= 38:
             raise KilledError
 
+    killed = Hooks(evaluate=evaluate, on_row=kill)
     with pytest.raises(KilledError):
-        trainer(
-            tmp_path / "parts",
-            wanted,
-            logs=logs,
-            live=live,
-            hooks=Hooks(evaluate=evaluate, on_row=kill),
-        ).run()
-    resumed = trainer(tmp_path / "parts", wanted, logs=logs, live=live)
-    resumed.run(resume=True)
-    assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
-    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+        trainer(tmp_path, wanted, logs=logs, live=live, hooks=killed).run()
+    trainer(tmp_path, wanted, logs=logs, live=live).run(resume=True)
+    the_same(tmp_path, whole(kind)[0])
 
 
-@pytest.mark.parametrize("assignments", [LIVE, BOTH])
+@pytest.mark.parametrize("kind", ["live", "both"])
 def test_simulating_beside_the_updates_changes_nothing(
-    assignments: tuple[str, ...], tmp_path: Path
+    kind: str, whole: Callable[[str], tuple[Path, Outcome]], tmp_path: Path
 ) -> None:
-    for name in ("true", "false"):
-        wanted = settings(*assignments, f"loop.overlap={name}")
-        trainer(tmp_path / name, wanted, logs="loop.pretrain=30" in assignments, live=True).run()
-    assert metrics(tmp_path / "true") == metrics(tmp_path / "false")
-    assert weights(tmp_path / "true") == weights(tmp_path / "false")
+    assignments, logs, live = KINDS[kind]
+    assert settings(*assignments).loop.overlap
+    wanted = settings(*assignments, "loop.overlap=false")
+    trainer(tmp_path, wanted, logs=logs, live=live).run()
+    the_same(tmp_path, whole(kind)[0])
 
 
 @pytest.mark.parametrize("overlap", ["true", "false"])
@@ -178,28 +189,32 @@ def test_a_block_is_collected_by_the_actor_before_the_updates_beside_it(
     Trainer(
         toy.task(), settings(*LIVE, f"loop.overlap={overlap}"), folder=tmp_path, source=Watched(8)
     ).run()
-    steps = np.arange(0, 448, 32)
+    steps = np.arange(0, 256, 32)
     assert ages == [int(0.3 * max(0, before - 64)) for before in steps - 32]
 
 
-def test_another_seed_is_another_run(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        trainer(tmp_path / str(seed), settings(*LIVE, f"loop.seed={seed}"), live=True).run()
-    assert metrics(tmp_path / "0") != metrics(tmp_path / "1")
+def test_another_seed_is_another_run(
+    whole: Callable[[str], tuple[Path, Outcome]], tmp_path: Path
+) -> None:
+    assert settings(*LIVE).loop.seed == 0
+    trainer(tmp_path, settings(*LIVE, "loop.seed=1"), live=True).run()
+    assert metrics(tmp_path) != metrics(whole("live")[0])
 
 
-def test_live_steps_earn_updates_and_budgets_are_kept(tmp_path: Path) -> None:
-    outcome = trainer(tmp_path / "steps", settings(*LIVE), live=True).run()
-    assert (outcome.steps, outcome.updates) == (448, int(0.3 * (448 - 64)))
-    outcome = trainer(tmp_path / "updates", settings(*LIVE, "loop.updates=50"), live=True).run()
-    assert outcome.updates == 50
-    assert outcome.steps < 448
-    outcome = trainer(tmp_path / "pretrained", settings(*BOTH), logs=True, live=True).run()
-    assert outcome.updates == 30 + int(0.3 * (448 - 64))
-    rows = metrics(tmp_path / "pretrained")
+def test_live_steps_earn_updates_and_budgets_are_kept(
+    whole: Callable[[str], tuple[Path, Outcome]], tmp_path: Path
+) -> None:
+    outcome = whole("live")[1]
+    assert (outcome.steps, outcome.updates) == (256, int(0.3 * (256 - 64)))
+    outcome = trainer(tmp_path, settings(*LIVE, "loop.updates=25"), live=True).run()
+    assert outcome.updates == 25
+    assert outcome.steps < 256
+    folder, outcome = whole("both")
+    assert outcome.updates == 15 + int(0.3 * (256 - 64))
+    rows = metrics(folder)
     assert rows[0]["step"] == 0
     assert {row["kind"] for row in rows} == {"training", "evaluation"}
-    assert sum(float(str(row["episodes"])) for row in rows if row["kind"] == "training") > 10
+    assert sum(float(str(row["episodes"])) for row in rows if row["kind"] == "training") >= 8
 
 
 def test_the_papers_loop_makes_one_update_per_step(tmp_path: Path) -> None:
@@ -222,8 +237,8 @@ def test_a_policy_learns_from_logs_alone(tmp_path: Path) -> None:
         "replay.batch=64",
         "replay.warmup=64",
         "learner.tau=0.02",
-        "loop.updates=1200",
-        "loop.evaluate_every=300",
+        "loop.updates=400",
+        "loop.evaluate_every=200",
     )
     outcome = Trainer(
         toy.task(), wanted, folder=tmp_path, logs=toy.logs(60), hooks=Hooks(evaluate=evaluate)
@@ -276,7 +291,7 @@ def poisoned() -> Columns:
 def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
     made = Trainer(
         toy.task(),
-        settings(*LOGS, "loop.metrics_every=90"),
+        settings(*LOGS, "loop.metrics_every=45"),
         folder=tmp_path,
         logs=poisoned(),
         hooks=Hooks(evaluate=evaluate),
@@ -285,7 +300,7 @@ def test_a_divergence_is_named_saved_and_stopped(tmp_path: Path) -> None:
     assert outcome.ending == "diverged"
     assert outcome.event is not None
     assert outcome.event.name == "not_finite"
-    assert outcome.updates < 90, "it is noticed before the row that was due"
+    assert outcome.updates < 45, "it is noticed before the row that was due"
     last = metrics(tmp_path)[-1]
     assert (last["kind"], last["name"]) == ("event", "not_finite")
     assert (tmp_path / "diverged.safetensors").exists()
@@ -308,8 +323,8 @@ def test_a_run_is_never_overwritten_nor_resumed_from_nothing_nor_changed(tmp_pat
     ):
         fewer.run(resume=True)
     assert (
-        trainer(tmp_path, settings(*LOGS, "loop.updates=120"), logs=True).run(resume=True).updates
-        == 120
+        trainer(tmp_path, settings(*LOGS, "loop.updates=60"), logs=True).run(resume=True).updates
+        == 60
     )
 
 
@@ -321,7 +336,7 @@ def test_what_does_not_fit_together_is_said_before_anything_is_written(tmp_path:
         trainer(folder, settings(*LOGS), live=True)
     with pytest.raises(ConfigError, match=r"loop\.updates: expected a budget of updates"):
         trainer(folder, settings(*LIVE), logs=True)
-    with pytest.raises(ConfigError, match=r"loop\.pretrain: expected logs for 30 updates"):
+    with pytest.raises(ConfigError, match=r"loop\.pretrain: expected logs for 15 updates"):
         trainer(folder, settings(*BOTH), live=True)
     with pytest.raises(
         SpecError, match=r"expected widths \(n_x, n_u, k\) = \(19, 9, 2\), got \(18, 9, 2\)"
@@ -346,9 +361,9 @@ def test_an_outcome_says_how_a_run_ended(tmp_path: Path) -> None:
     outcome = trainer(
         tmp_path, settings(*LOGS), logs=True, hooks=Hooks(evaluate=evaluate, on_row=rows.append)
     ).run()
-    assert outcome == Outcome("finished", 100, 0, outcome.best, None)
-    assert [row["update"] for row in rows if row["kind"] == "training"] == [20, 40, 60, 80, 100]
-    assert [row["update"] for row in rows if row["kind"] == "evaluation"] == [40, 80, 100]
+    assert outcome == Outcome("finished", 50, 0, outcome.best, None)
+    assert [row["update"] for row in rows if row["kind"] == "training"] == [10, 20, 30, 40, 50]
+    assert [row["update"] for row in rows if row["kind"] == "evaluation"] == [20, 40, 50]
     first = rows[0]
     wanted = {
         "kind",

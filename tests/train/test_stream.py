@@ -124,7 +124,9 @@ def test_a_window_too_small_for_a_few_episodes_is_refused() -> None:
 
 def test_a_resumed_run_with_a_window_equals_one_that_never_stopped(tmp_path: Path) -> None:
     columns = toy.logs(200)
-    wanted = settings(*LOGS, "replay.log_hindsight=0.4", "loop.evaluate_every=0")
+    wanted = settings(
+        *LOGS, "loop.updates=100", "replay.log_hindsight=0.4", "loop.evaluate_every=0"
+    )
 
     def made(name: str, hooks: Hooks | None = None) -> Trainer:
         stream = streamed(columns, rows=700, reuse=1)
