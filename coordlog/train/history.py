@@ -14,10 +14,13 @@ import numpy as np
 from coordlog.episode import Array, Json
 from coordlog.train.metrics import read_metrics
 from coordlog.train.run import recall
+from coordlog.train.settings import UNSAID
 
 Against = Literal["episodes", "updates", "steps"]
 Kind = Literal["evaluation", "training"]
 """Figures on held-out problems, or of the episodes that were learnt from, exploration included."""
+IDLE = ("loop.seed", "loop.evaluate_every", "loop.checkpoint_every")
+"""Settings that do not set runs apart: they learn the same."""
 MODES = {"logs": "from logs", "live": "live", "both": "logs and live"}
 DIFFERENCES = 3
 """A label names at most this many settings."""
@@ -140,7 +143,10 @@ def _constants(said: Json) -> dict[str, object]:
         if isinstance(section, dict)
         for key, value in section.items()
     }
-    flat.pop("loop.seed", None)
+    for key in IDLE:
+        flat.pop(key, None)
+    for (section, name), value in UNSAID.items():
+        flat.setdefault(f"{section}.{name}", value)
     return {
         "mode": said["mode"],
         **flat,

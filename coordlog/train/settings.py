@@ -149,7 +149,7 @@ UNSAID: dict[tuple[str, str], object] = {
     for section, keys in {
         "network": ("ascent",),
         "loop": ("final_rate",),
-        "behaviour": ("schedule",),
+        "behaviour": ("schedule", "extra"),
         "replay": ("far", "cut"),
         "train": ("start_line", "start_random", "start_solved", "inflate"),
     }.items()
