@@ -228,7 +228,7 @@ FIGURES = {
     "scenes": "The four scenes: free, spheres, table, shelf (the paper's Figure 3).",
     "curves": "Live learning, mean and standard deviation over seeds (Figure 4), drawn from "
     "experiments/curves. A step is a decision: of 0.12 s in `table` and `shelf` (the preset `live`, "
-    "three seeds each), of 0.06 s in `spheres` (`agile`, one seed), of 0.04 s in `free` (three "
+    "three seeds each), of 0.06 s in `spheres` (`agile`, two seeds), of 0.04 s in `free` (three "
     "seeds), as before.",
     "paths": "A held-out episode of the shipped table policy with exploration noise 0.15: knots against splines (Figure 5).",
 }
