@@ -81,11 +81,8 @@ def test_a_recording_of_the_viewer_is_saved_once(logs: Path, tmp_path: Path) -> 
     [
         (lambda t: coordlog.record("planer", out=t), ConfigError, "unknown scene 'planer'"),
         (lambda t: coordlog.record("planar", out=t, env=3), ConfigError, "unknown option 'env'"),
-        (
-            lambda t: coordlog.record(object(), "expert", out=t),
-            ConfigError,
-            "expected something with",
-        ),
+        (lambda t: coordlog.record(object(), "expert", out=t), ConfigError, "expert: expected ran"),
+        (lambda t: coordlog.record(object(), 3, out=t), ConfigError, "expected something with"),
         (lambda t: coordlog.check(t), CoordlogError, "no episodes"),
         (lambda t: coordlog.check(t, level="all"), ConfigError, "unknown level 'all'"),
         (lambda t: coordlog.smooth(t), ConfigError, "expected a folder"),
