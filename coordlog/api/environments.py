@@ -20,7 +20,6 @@ from coordlog.policies.learned import Policy
 from coordlog.record.foreign import record_env
 from coordlog.record.foreign_env import make
 from coordlog.record.recording import Recording
-from coordlog.sim.foreign import TASK
 from coordlog.train.bind import recorded_task
 from coordlog.train.columns import Columns
 from coordlog.train.settings import PRESETS
@@ -42,11 +41,6 @@ LARGEST = 10.0
 """Rewards are scaled to returns of about this, if nothing is said."""
 SMALLEST = 1e-6
 """Entries of the state that vary less, as a share of their size, are left as they are."""
-
-
-def of_environment(env: Json) -> bool:
-    """Whether a `coordlog.env` record is of an environment that is not ours."""
-    return bool(env.get("task", {}).get("name") == TASK)
 
 
 class Learnt(NamedTuple):

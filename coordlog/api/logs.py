@@ -12,7 +12,7 @@ from coordlog.catalog.asking import chosen
 from coordlog.errors import FormatError, SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
-from coordlog.sim.foreign import TASK
+from coordlog.sim.foreign import of_environment
 
 if TYPE_CHECKING:
     from coordlog.record.cache import Built, Logs
@@ -71,7 +71,7 @@ def load_logs(
             f"logs of several scenes ({', '.join(scenes)}): learn from one, "
             f"for example --where \"scene = '{scenes[0]}'\""
         )
-    if not (environments and logs.env(0).get("task", {}).get("name") == TASK):
+    if not (environments and of_environment(logs.env(0))):
         _require_task(logs)
     _require_alike(logs)
     return logs

@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coordlog.api.environments import (
-    BY_RETURN,
-    Performance,
-    learnt_from,
-    of_environment,
-    performance,
-)
+from coordlog.api.environments import BY_RETURN, Performance, learnt_from, performance
 from coordlog.api.following import Follower, watch
 from coordlog.api.judging import ELSEWHERE, ENVS, RANK, SEED, Judge, evaluation_envs
 from coordlog.api.logs import load_logs
@@ -31,6 +25,7 @@ from coordlog.crew import Crew
 from coordlog.monitor import Monitor
 from coordlog.record.files import find_files
 from coordlog.record.places import require_folder
+from coordlog.sim.foreign import of_environment
 from coordlog.sim.making import true_scene
 from coordlog.tasks.own import scene_of
 from coordlog.tasks.scene import Scene, find
@@ -167,7 +162,7 @@ def prepare(plan: TrainPlan, monitor: Monitor) -> Run:
         require_alike(logs.env(0), about["env"], where=f"scene '{scene.name}'")
     if plan.mode != "logs" and "reward" in wanted.tables:
         _tell_doubts(env, wanted.settings.learner.gamma, monitor)
-    folder = Path(plan.out or f"runs/{scene.name}-{plan.mode}-s{plan.seed}")
+    folder = _folder(plan, scene.name)
     name = _name(plan, folder, about, wanted, monitor)
     if logs and like["reward"] != about["env"]["reward"]:
         monitor.note(
@@ -186,9 +181,13 @@ def _of_environment(plan: TrainPlan, logs: Logs, monitor: Monitor) -> Run:
     env, task, columns, wanted = learnt_from(plan, logs)
     scene = logs.episodes.column("scene")[0].as_py()
     about = _about(plan, scene, env, wanted, logs)
-    folder = Path(plan.out or f"runs/{scene}-{plan.mode}-s{plan.seed}")
+    folder = _folder(plan, scene)
     name = _name(plan, folder, about, wanted, monitor)
     return Run(plan, None, task, columns, folder, wanted, logs, env, {}, about, name)
+
+
+def _folder(plan: TrainPlan, scene: str) -> Path:
+    return Path(plan.out or f"runs/{scene}-{plan.mode}-s{plan.seed}")
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from coordlog.episode import Array, Json
 from coordlog.errors import ConfigError, FormatError, unknown
 from coordlog.policies.learned import Policy
 from coordlog.policies.registry import SUFFIX, policy_file
-from coordlog.sim.foreign import TASK, flat
+from coordlog.sim.foreign import flat, of_environment
 from coordlog.tasks.own import run_file
 
 Act = Callable[[Any], Any]
@@ -105,7 +105,7 @@ def learnt(policy: Policy, name: str | Path) -> Act:
         FormatError: if its file lacks the scales.
     """
     env = policy.about.get("env", {})
-    if env.get("task", {}).get("name") != TASK:
+    if not of_environment(env):
         raise ConfigError(
             f"{name}: a policy that acts in coordlog's scenes alone, trained in "
             f"'{policy.about.get('scene', '')}'; expected one that was learnt from logs of an "

@@ -40,7 +40,6 @@ Strings = Mapping[str, str]
 _parse = json.JSONDecoder().decode
 _SPACE = " \t\n\r"
 _WORDS = {"null": None, "true": True, "false": False, "NaN": math.nan, "Infinity": math.inf}
-_WHOLE = re.compile(r"(0|[1-9][0-9]*)\Z")
 _NUMBER = re.compile(rf"(0|[1-9][0-9]*)(\.[0-9]+)?([eE][+-]?[0-9]+)?[{_SPACE}]*\Z")
 """JSON that begins with a letter, or a digit: most texts are neither, and failing is slow."""
 
@@ -76,10 +75,8 @@ def _decode_value(text: str) -> Any:
     if first.isalpha() or not first:
         return _WORDS.get(text.rstrip(_SPACE), text)
     try:
-        if first.isdigit() and not _WHOLE.match(text):
-            return _parse(text) if _NUMBER.match(text) else text  # a digest, say
-        if first.isdigit():
-            return int(text)
+        if first.isdigit() and not _NUMBER.match(text):  # a digest, say
+            return text
         return _parse(text)
     except (ValueError, RecursionError):
         return text

@@ -234,10 +234,8 @@ def _untouched(view: memoryview) -> bool:
     """
     size = len(view)
     start = summary_start(view[-TAIL_SIZE:], size)
-    stop, (*_, offsets, stored) = (
-        start - DATA_END.size,
-        FOOTER.unpack_from(view, size - TAIL_SIZE),
-    )
+    stop = start - DATA_END.size
+    *_, offsets, stored = FOOTER.unpack_from(view, size - TAIL_SIZE)
     entry = offsets - _MARKER_INDEX.size
     if not start <= entry <= size - TAIL_SIZE - _MARKER_INDEX.size:
         return False

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from coordlog.episode import Array
+from coordlog.episode import Array, Json
 from coordlog.errors import FormatError, SimulationError, SpecError
 from coordlog.sim.inputs import place
 from coordlog.sim.watch import STATE, STEP, state_of
@@ -32,6 +32,11 @@ AHEAD = 256
 """Most steps of a run; a simulation that its environment sets itself is followed step by step."""
 MOST = 0.5
 """A step is refused if more than this share of the coordinates is not what the physics makes."""
+
+
+def of_environment(env: Json) -> bool:
+    """Whether a `coordlog.env` record is of an environment that is not ours."""
+    return bool(env.get("task", {}).get("name") == TASK)
 
 
 def flat(value: Any) -> Array:

@@ -23,7 +23,7 @@ from coordlog.record.decoding import decode, require_messages
 from coordlog.record.messages import Encoder
 from coordlog.record.metadata import vouched
 from coordlog.record.opening import File, summary_start
-from coordlog.record.reader import attachments
+from coordlog.record.reader import attachments, metadata
 from coordlog.record.recording import Recording
 from coordlog.record.records import DATA_END, FOOTER, MAGIC, RECORD_HEAD, TAIL_SIZE, walk
 from coordlog.record.schema import column
@@ -107,8 +107,8 @@ def _require_promised(data: bytes) -> None:
     Raises:
         FormatError: naming the first topic that is not as it was written.
     """
-    found = contents(data)
-    if "bytes" in vouched(found.metadata):
+    if "bytes" in vouched(metadata(data)):  # else it is of a release that promised no bytes
+        found = contents(data)
         found.own = False  # whoever wrote our layout anew: its CRCs say nothing of ours
         decode(found)
 
