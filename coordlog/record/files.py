@@ -164,7 +164,9 @@ def _status(path: Path) -> os.stat_result:
     except FileNotFoundError:
         if path.is_symlink():
             raise StorageError(f"{path}: cannot read: a link to nothing") from None
-        raise StorageError(f"{path}: no such file or folder: No such file or directory") from None
+        hint = "; addresses of stores begin with s3://, gs:// or az://" if ":" in str(path) else ""
+        said = f"{path}: no such file or folder: No such file or directory{hint}"
+        raise StorageError(said) from None
     except OSError as error:
         raise StorageError(f"{path}: cannot read: {error.strerror}") from None
 
