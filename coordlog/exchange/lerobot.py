@@ -117,7 +117,7 @@ def write_block(block: Block) -> Json:
         "chunk_index": block.number // FILES_PER_CHUNK,
         "file_index": block.number % FILES_PER_CHUNK,
     }
-    data = _made(block.folder / DATA_PATH.format(**place))
+    data = made(block.folder / DATA_PATH.format(**place))
     frame, kept, rows = block.first_frame, [], []
     journal: Json = {"tasks": {}, "frames": 0, "robot": "", "features": {}, "fps": 0}
     writer: pq.ParquetWriter | None = None
@@ -144,7 +144,7 @@ def write_block(block: Block) -> Json:
             frame += len(loaded.episode)
     if writer is not None:
         writer.close()
-    episodes = _made(block.folder / _EPISODES_PATH.format(**place))
+    episodes = made(block.folder / _EPISODES_PATH.format(**place))
     pq.write_table(_rows_table(rows), episodes, compression="snappy")
     journal["frames"], journal["episodes"] = frame - block.first_frame, len(rows)
     journal["stats"] = {
@@ -189,7 +189,7 @@ def merged_tasks(journals: Sequence[Json]) -> list[str]:
 
 def write_json(path: Path, value: Any) -> None:
     """A JSON file of a set; the folder is made."""
-    _made(path).write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
+    made(path).write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
 
 
 def final_state(loaded: Loaded) -> Iterator[tuple[str, Array | float]]:
@@ -240,7 +240,7 @@ def _rows_table(rows: Sequence[Json]) -> pa.Table:
 
 def _videos(block: Block, place: Json) -> dict[str, Path]:
     return {
-        camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
+        camera: made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
 
@@ -258,7 +258,7 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     }
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": list(tasks)})
     table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-    pq.write_table(table, _made(path), compression="snappy")
+    pq.write_table(table, made(path), compression="snappy")
 
 
 def _pandas_column(name: str, kind: str) -> Json:
@@ -272,6 +272,7 @@ def _pandas_column(name: str, kind: str) -> Json:
     }
 
 
-def _made(path: Path) -> Path:
+def made(path: Path) -> Path:
+    """The path, whose folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

@@ -24,6 +24,7 @@ from coordlog.exchange.lerobot import (
     features_of,
     final_state,
     indexes,
+    made,
     merged_tasks,
     table_of,
     write_json,
@@ -51,7 +52,7 @@ def write_block(block: Block) -> Json:
         index = indexes(loaded, episode=number, frame=frame, task=task)
         place = {"episode_chunk": number // EPISODES_PER_CHUNK, "episode_index": number}
         table = table_of(own | index)
-        data = _made(block.folder / DATA_PATH.format(**place))
+        data = made(block.folder / DATA_PATH.format(**place))
         pq.write_table(table, data, compression="snappy")
         stats = dict(statistics.of_columns(own | index).items()) | _filmed(block, loaded, place)
         line = {"episode_index": number, "tasks": [text], "length": len(loaded.episode)}
@@ -69,7 +70,7 @@ def write_block(block: Block) -> Json:
     journal["frames"] = frame - block.first_frame
     journal["episodes"] = len(block.paths)
     for name, texts in lines.items():
-        part = _made(_part(block.folder, name, block.number))
+        part = made(_part(block.folder, name, block.number))
         part.write_text("".join(f"{text}\n" for text in texts), "utf-8")
     return journal
 
@@ -110,7 +111,7 @@ def assemble(folder: Path, journals: Sequence[Json], options: Options) -> None:
 
 def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.Stats]:
     paths = {
-        camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
+        camera: made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
     with video.Videos(paths, block.options) as videos:
@@ -120,8 +121,3 @@ def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.S
 
 def _part(folder: Path, name: str, number: int) -> Path:
     return folder / "meta" / "parts" / f"{name}-{number:05d}.jsonl"
-
-
-def _made(path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path
