@@ -268,9 +268,8 @@ def record_env(
     out: str | Path = "logs",
     seed: int = 0,
     about: Json | None = None,
-    verify: bool = True,
-    source: Path | str | None = None,
     each: Callable[[Recorder], None] | None = None,
+    **options: Any,
 ) -> Recorder:
     """Run a policy in a Gymnasium environment, and record its episodes.
 
@@ -281,9 +280,8 @@ def record_env(
         out: Folder; files already in it stay as they are.
         seed: Of the first episode; each next one is one more. Not for a `reset` that takes none.
         about: What is known of the policy: kind, name, checkpoint_sha256.
-        verify: Take the steps again while recording.
-        source: The file or the text that its model was compiled from, where it does not say it.
         each: Called after every episode.
+        **options: Of the `Recorder`: verify, source.
 
     Returns:
         The recorder, closed: its files and counts.
@@ -293,7 +291,7 @@ def record_env(
         SimulationError: at the first step that cannot be replayed.
         StorageError: if a file cannot be written.
     """
-    with Recorder(env, out, policy=about, verify=verify, source=source) as recorder:
+    with Recorder(env, out, policy=about, **options) as recorder:
         seeded = takes_seed(env.reset)
         for index in range(episodes):
             given = recorder.reset(**({"seed": seed + index} if seeded else {}))

@@ -81,9 +81,12 @@ def update(tasks):
         from coordlog.train.gradients import gradient_mask
         from coordlog.train.settings import PRESETS
         arms = {"left": list(range(9)), "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
-        preset = PRESETS["default"]
-        learner = Learner(39, gradient_mask(arms, 13), network=preset.network,
-                          config=preset.learner, bounds=(-60.0, 30.0), seed=0)
+        preset, mask, bounds = PRESETS["default"], gradient_mask(arms, 13), (-60.0, 30.0)
+        try:
+            learner = Learner(39, mask, preset, bounds=bounds)
+        except TypeError:
+            learner = Learner(39, mask, network=preset.network, config=preset.learner,
+                              bounds=bounds, seed=0)
         def numbers(width):
             return torch.rand(256, width) * 2 - 1
         ones = torch.ones(256, 1)
