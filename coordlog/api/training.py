@@ -197,7 +197,7 @@ def _judge(
     """Who judges a run, and the figures by which."""
     plan, folder = run.plan, run.folder
     if run.scene is None:
-        made = performance(plan, run.about["env"], folder, monitor, window)
+        made = performance(plan, run.about["env"], folder, run.name, monitor, window)
         with made as found:
             yield found, BY_RETURN
         return

@@ -124,6 +124,7 @@ ENV: dict[str, Rule] = {
     ),
     "actuators": TEXTS,
     "geoms": TEXTS,
+    "model_sha256": Rule("text", _is_text, required=False),
     "arms": Rule("an object of lists of action indices", _is_mapping(_is_list(_INDEX))),
     "action_joints": TEXTS,
     "state": TEXTS,
