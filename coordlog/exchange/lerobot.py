@@ -155,30 +155,30 @@ def write_block(block: Block) -> Json:
 
 def assemble(folder: Path, journals: Sequence[Json], options: Options) -> None:
     """Write info.json, tasks.parquet and stats.json."""
-    first = journals[0]
-    tasks = merged_tasks(journals)
-    info = {
-        "codebase_version": VERSION,
-        "robot_type": first["robot"],
-        "total_episodes": sum(journal["episodes"] for journal in journals),
-        "total_frames": sum(journal["frames"] for journal in journals),
-        "total_tasks": len(tasks),
-        "chunks_size": FILES_PER_CHUNK,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
-        "fps": first["fps"],
-        "splits": {"train": f"0:{sum(journal['episodes'] for journal in journals)}"},
-        "data_path": DATA_PATH,
-        "video_path": VIDEO_PATH if options.cameras else None,
-        "features": first["features"],
-    }
-    write_json(folder / "meta" / "info.json", info)
-    names = first["stats"]
+    sizes = {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
+    own = {"codebase_version": VERSION, "chunks_size": FILES_PER_CHUNK, **sizes}
+    paths = {"data_path": DATA_PATH, "video_path": VIDEO_PATH if options.cameras else None}
+    write_json(folder / "meta" / "info.json", own | info_of(journals) | paths)
     pooled = {
-        name: statistics.pooled([journal["stats"][name] for journal in journals]) for name in names
+        name: statistics.pooled([journal["stats"][name] for journal in journals])
+        for name in journals[0]["stats"]
     }
     write_json(folder / "meta" / "stats.json", pooled)
-    _write_tasks(folder / "meta" / "tasks.parquet", tasks)
+    _write_tasks(folder / "meta" / "tasks.parquet", merged_tasks(journals))
+
+
+def info_of(journals: Sequence[Json]) -> Json:
+    """What info.json says in every version."""
+    first, episodes = journals[0], sum(journal["episodes"] for journal in journals)
+    return {
+        "robot_type": first["robot"],
+        "total_episodes": episodes,
+        "total_frames": sum(journal["frames"] for journal in journals),
+        "total_tasks": len(merged_tasks(journals)),
+        "fps": first["fps"],
+        "splits": {"train": f"0:{episodes}"},
+        "features": first["features"],
+    }
 
 
 def merged_tasks(journals: Sequence[Json]) -> list[str]:

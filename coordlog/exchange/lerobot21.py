@@ -24,6 +24,7 @@ from coordlog.exchange.lerobot import (
     features_of,
     final_state,
     indexes,
+    info_of,
     made,
     merged_tasks,
     table_of,
@@ -84,29 +85,21 @@ def assemble(folder: Path, journals: Sequence[Json], options: Options) -> None:
     for journal in journals:
         for name in _LINES:
             _part(folder, name, journal["number"]).unlink()
-    first, tasks = journals[0], merged_tasks(journals)
     lines = [
         json.dumps({"task_index": i, "task": text}, ensure_ascii=False)
-        for i, text in enumerate(tasks)
+        for i, text in enumerate(merged_tasks(journals))
     ]
     (folder / "meta" / "tasks.jsonl").write_text("".join(f"{line}\n" for line in lines), "utf-8")
-    episodes = sum(journal["episodes"] for journal in journals)
-    info = {
+    info = info_of(journals)
+    own = {
         "codebase_version": VERSION,
-        "robot_type": first["robot"],
-        "total_episodes": episodes,
-        "total_frames": sum(journal["frames"] for journal in journals),
-        "total_tasks": len(tasks),
-        "total_videos": episodes * len(options.cameras),
-        "total_chunks": -(-episodes // EPISODES_PER_CHUNK),
+        "total_videos": info["total_episodes"] * len(options.cameras),
+        "total_chunks": -(-info["total_episodes"] // EPISODES_PER_CHUNK),
         "chunks_size": EPISODES_PER_CHUNK,
-        "fps": first["fps"],
-        "splits": {"train": f"0:{episodes}"},
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH if options.cameras else None,
-        "features": first["features"],
     }
-    write_json(folder / "meta" / "info.json", info)
+    write_json(folder / "meta" / "info.json", own | info)
 
 
 def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.Stats]:

@@ -316,7 +316,8 @@ def _copied(
     container = Container(LIBRARY)
     for name, values in header.items():
         container.add_metadata(name, values)
-    container._schemas, container._channels = parts[0]._schemas, parts[0]._channels
+    container.books.schemas = parts[0].books.schemas
+    container.books.channels = parts[0].books.channels
     for chunk in parts[1:]:
         container.add_chunk(chunk)
     marker = encode_commit(episode.result, metadata=header, attachments={}, messages=messages)
