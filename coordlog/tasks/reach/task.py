@@ -82,8 +82,10 @@ class ReachTask:
 
     def sample(
         self, rng: np.random.Generator, scene: Scene, kinematics: Kinematics, angles: Array
-    ) -> Sample:
-        """The sides of an object drawn in the scene's box, or without one a posture's palms."""
+    ) -> Sample | None:
+        """The sides of an object drawn in the scene's box, or without one a posture's palms; None
+        if there is no such posture.
+        """
         if scene.object_box is None:
             palms = goals.anywhere(rng, kinematics)
             return None if palms is None else Sample(palms, reachable=True)
