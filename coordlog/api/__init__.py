@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from coordlog.smooth.result import Result as Smoothed
     from coordlog.verify.levels import Checked
 
-OF_ENVIRONMENTS = ("about", "each", "source", "verify")
+OF_ENVIRONMENTS = ("about", "source", "verify")
 """Options of `record` with an environment of another program."""
 BATCH = ("write", "force", "share", "jobs", "monitor")
 """Options of `smooth` for logs that are not about how a path is smoothed."""
@@ -82,26 +82,21 @@ def record(
         >>> record("table", episodes=2, out="logs")      # doctest: +SKIP
         [PosixPath('logs/table-train-s0-000000-….mcap'), …]
     """
-    from coordlog.api.recording import EPISODES, RecordPlan, record_scene
+    from coordlog.api.recording import EPISODES, RecordPlan, actor, record_scene
     from coordlog.tasks.scene import Scene
 
     if isinstance(what, str | Scene):
         given = {"scene": what, "policy": policy, "episodes": episodes, "seed": seed, **options}
         plan = _plan(RecordPlan, given)
         return record_scene(plan, Path(out), Monitor() if monitor is None else monitor).files
-    from coordlog.policies.foreign import as_act, load
     from coordlog.record.foreign import record_env
 
     for name in options:
         if name not in OF_ENVIRONMENTS:
             raise unknown("option of an environment", name, OF_ENVIRONMENTS)
-    if policy == "random" and hasattr(what, "action_space"):
-        what.action_space.seed(seed)
-        policy = lambda observation: what.action_space.sample()  # noqa: E731
-    if isinstance(policy, str | Path):
-        act, options["about"] = load(str(policy))
-    else:
-        act = as_act(policy, "policy")
+    heard, source = Monitor() if monitor is None else monitor, options.get("source")
+    act, about = actor(what, policy, seed=seed, monitor=heard, source=source)
+    options = {"about": about, **options}
     count = episodes or EPISODES
     return sorted(record_env(what, act, episodes=count, out=Path(out), seed=seed, **options).files)
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coordlog.api.judging import show
+from coordlog.api.judging import run_of, show
 from coordlog.api.train_plan import Constants, TrainPlan, constants
 from coordlog.errors import ConfigError
 from coordlog.policies.foreign import learnt
 from coordlog.policies.learned import Policy
-from coordlog.record.foreign import record_env
+from coordlog.record.foreign import Recorder, played
 from coordlog.record.foreign_env import make
 from coordlog.record.recording import Recording
 from coordlog.train.bind import recorded_task
@@ -112,7 +112,7 @@ def _scales(env: Json, logs: Columns) -> Json:
 
 @contextmanager
 def performance(
-    plan: TrainPlan, env: Json, folder: Path, monitor: Monitor, window: Live | None
+    plan: TrainPlan, env: Json, folder: Path, run: str, monitor: Monitor, window: Live | None
 ) -> Iterator[Performance | None]:
     """What a run is judged by; None if nobody can make the environment again, which is said."""
     name = env["task"].get("environment", env["robot"]["name"])
@@ -125,7 +125,8 @@ def performance(
         yield None
         return
     try:
-        yield Performance(found, env, folder, episodes=plan.eval_episodes, window=window)
+        count = plan.eval_episodes
+        yield Performance(found, env, folder, run=run, episodes=count, window=window)
     finally:
         found.close()
 
@@ -148,7 +149,14 @@ class Performance:
     """Judges a policy by episodes of the environment, which are recorded like any other."""
 
     def __init__(
-        self, env: Any, said: Json, folder: Path, *, episodes: int, window: Live | None
+        self,
+        env: Any,
+        said: Json,
+        folder: Path,
+        *,
+        run: str,
+        episodes: int,
+        window: Live | None,
     ) -> None:
         """Write nothing yet.
 
@@ -156,23 +164,26 @@ class Performance:
             env: The environment.
             said: Its `coordlog.env` record.
             folder: The run folder.
+            run: Name of the run, for its recordings.
             episodes: How many.
             window: Where evaluations are shown, if anywhere.
         """
         self._env, self._heads, self._folder = env, tuple(said["arms"]), folder
-        self._episodes, self._window = episodes, window
+        self._run, self._episodes, self._window = run, episodes, window
 
     def __call__(self, policy: Policy, updates: int) -> dict[str, float | str]:
-        """Mean and deviation of the return over the episodes, and the mean for each head."""
+        """Mean and deviation of the return over the episodes, and the mean for each head.
+
+        What a killed run had recorded of them is not recorded twice.
+        """
         folder = self._folder / "episodes" / f"eval-{updates:07d}"
-        recorder = record_env(
-            self._env,
-            learnt(policy, f"update {updates}"),
-            episodes=self._episodes,
-            out=folder,
-            seed=HELD,
-            about={"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": ""},
-        )
+        name = f"update {updates}"
+        about = {"kind": "digrad", "name": name, "checkpoint_sha256": ""}
+        run = run_of(self._run, updates, policy)
+        seeds = range(HELD, HELD + self._episodes)
+        with Recorder(self._env, folder, policy=about, run=run) as recorder:
+            for _ in played(recorder, self._env, learnt(policy, name), seeds):
+                pass
         returns = np.array([Recording(path).result.returns for path in recorder.files])
         whole = returns.sum(axis=1)
         found: dict[str, float | str] = {

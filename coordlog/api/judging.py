@@ -114,12 +114,19 @@ class Judge:
         """One evaluation from one start pose, recorded."""
         env = self._envs[prefix]
         said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
-        weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
-        run = hashlib.sha256(f"{self._run}/{updates}/".encode() + weights).hexdigest()[:8]
+        run = run_of(self._run, updates, policy)
         with Recorder(env, folder, policy=said, display=False, run=run) as recorder:
             return judged(
                 recorder, policy, episodes=self._episodes[prefix], k=env.layout.k, seed=SEED
             )
+
+
+def run_of(run: str, updates: int, policy: Policy) -> str:
+    """The name that an evaluation's recordings carry: the same where a run that goes on comes to
+    the same weights again.
+    """
+    weights = b"".join(policy.arrays[name].tobytes() for name in sorted(policy.arrays))
+    return hashlib.sha256(f"{run}/{updates}/".encode() + weights).hexdigest()[:8]
 
 
 def show(window: Live, updates: int, folder: Path) -> None:

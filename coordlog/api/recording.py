@@ -16,6 +16,7 @@ from coordlog.parallel import shard as share
 if TYPE_CHECKING:
     from coordlog.contracts import Policy
     from coordlog.episode import Json
+    from coordlog.policies.foreign import Act
     from coordlog.record.branches import Parents
     from coordlog.record.recorder import Recorder
     from coordlog.record.spool import Sink
@@ -231,3 +232,43 @@ def _figures(
         "recording_us_per_step": recorder.seconds / max(steps, 1) * 1e6,
         "files": [str(item.path) for item in sorted(sink.done, key=lambda item: item.path)],
     }
+
+
+def actor(
+    env: Any, policy: Any, *, seed: int, monitor: Monitor, source: Path | str | None = None
+) -> tuple[Act, Json]:
+    """A policy for somebody else's environment, and its `coordlog.policy` record.
+
+    What coordlog has learnt acts where it was learnt, and elsewhere with a word or not at all.
+
+    Args:
+        env: Where it is to act.
+        policy: "random", a name as `policies.foreign.load` takes it, a function from observation to
+            action, or an object with `predict` or `act`.
+        seed: Of random actions.
+        monitor: Hears of an environment that is nearly the one where it was learnt.
+        source: The file or the text of its model, where the environment does not say it.
+
+    Raises:
+        ConfigError: if there is none, or it was learnt in another environment.
+    """
+    from coordlog.policies.foreign import as_act, at_home, load
+    from coordlog.policies.learned import Policy
+    from coordlog.policies.registry import policy_file
+    from coordlog.record.foreign_env import Subject, name_of, several, simulation_of, source_of
+
+    if isinstance(policy, str) and policy == "random" and hasattr(env, "action_space"):
+        env.action_space.seed(seed)
+        return lambda observation: env.action_space.sample(), {"kind": "random", "name": "random"}
+    if not isinstance(policy, str | Path):
+        return as_act(policy, "policy"), {}
+    act, about = load(str(policy))
+    if about["kind"] == "digrad":
+        one = (several(env) or [env])[0]
+        subject = Subject(simulation_of(one)[0], source_of(one) if source is None else source)
+        file = policy_file(str(policy), "")
+        assert file is not None  # it was loaded
+        note = at_home(Policy.load(file), file, {"environment": name_of(one), **subject.names})
+        if note:
+            monitor.note(note)
+    return act, about

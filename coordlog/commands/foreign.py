@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -27,9 +27,9 @@ def record_environment(
         ConfigError: if there is no such environment, or it is not on MuJoCo.
         SimulationError: at the first step that cannot be replayed.
     """
+    from coordlog.api.recording import actor
     from coordlog.catalog.asking import catalogued
-    from coordlog.policies.foreign import load
-    from coordlog.record.foreign import record_env
+    from coordlog.record.foreign import Recorder, played
     from coordlog.record.foreign_env import make
 
     if policy in OWN:
@@ -40,25 +40,16 @@ def record_environment(
             "of `coordlog train` on its logs with --env"
         )
     env = make(name)
-    if policy == "random":
-        env.action_space.seed(seed)
-        act = lambda observation: env.action_space.sample()  # noqa: E731
-        about: dict[str, Any] = {"kind": "random", "name": "random"}
-    else:
-        act, about = load(policy)
+    act, about = actor(env, policy, seed=seed, monitor=terminal.Watcher())
     began = time.perf_counter()
     with terminal.progress() as bar, terminal.interruptible() as interrupted:
         task = bar.add_task(f"recording {name}", total=episodes, note="")
-
-        def each(recorder: Recorder) -> None:
-            bar.update(task, completed=len(recorder.files))
-            if interrupted:
-                raise typer.Exit(EXIT_INTERRUPTED)
-
         try:
-            recorder = record_env(
-                env, act, episodes=episodes, out=out, seed=seed, about=about, each=each
-            )
+            with Recorder(env, out, policy=about) as recorder:
+                for _ in played(recorder, env, act, range(seed, seed + episodes)):
+                    bar.update(task, completed=len(recorder.files))
+                    if interrupted:
+                        raise typer.Exit(EXIT_INTERRUPTED)
         except (CoordlogError, OSError, typer.Exit):
             raise
         except Exception as error:  # environment and policy are the user's

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,8 @@ SCALES = ("action_low", "action_high", "state_offset", "state_scale")
 """What a policy for an environment is told of it, in its `coordlog.env` record: it sees states less
 the offset by the scale, and its -1 and 1 are the least and the greatest action.
 """
+VERSION = re.compile(r"-v\d+$")
+"""Of a Gymnasium id."""
 ALGORITHMS = (
     ("target_entropy", "SAC"),
     ("policy_delay", "TD3"),
@@ -129,6 +132,40 @@ def learnt(policy: Policy, name: str | Path) -> Act:
         return np.asarray(low + (policy((seen - offset) / scale) + 1) / 2 * (high - low))
 
     return act
+
+
+def at_home(policy: Policy, name: str | Path, now: Json) -> str:
+    """What is to be said of a policy that acts elsewhere than where it was learnt; "" if that is
+    the same environment.
+
+    Args:
+        policy: As `learnt` takes it.
+        name: What it is called.
+        now: Where it is to act: its "environment", and "joints", "actuators" and "model_sha256" as
+            a `coordlog.env` record has them.
+
+    Raises:
+        ConfigError: if it is another environment: neither the id, but for its version, nor the
+            model is that of the logs.
+    """
+    env = policy.about["env"]
+    was, here = env["task"].get("environment", ""), now["environment"]
+    named = all(env.get(key) == now[key] for key in ("joints", "actuators"))
+    digest = env.get("model_sha256", "")  # older logs say none
+    same = named and digest in ("", now["model_sha256"])
+    home = f"'{was or policy.about.get('scene', '')}'"
+    if was in ("", here):
+        if same:
+            return ""
+        if was or named:
+            return f"{name}: '{here}' has another model here than where it was learnt, in {home}"
+    elif VERSION.sub("", was) == VERSION.sub("", here) or (same and digest):
+        model = "the same" if same else "another"
+        return f"{name}: learnt in {home}, acts in '{here}', whose model is {model}"
+    raise ConfigError(
+        f"{name}: learnt in {home}, where its actions mean something else than in '{here}'; "
+        "expected that environment, or a policy that was learnt from logs of this one"
+    )
 
 
 def _about(kind: str, name: str, file: Path) -> Json:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,8 @@ from coordlog.record.foreign_env import (
     takes_seed,
 )
 from coordlog.record.foreign_episode import EpisodeLog
+from coordlog.record.recording import Recording
+from coordlog.record.storage import PART
 
 Policy = Callable[[Any], Any]
 """Observation in, action out."""
@@ -61,6 +63,7 @@ class Recorder:
         policy: Json | None = None,
         verify: bool = True,
         source: Path | str | None = None,
+        run: str = "",
     ) -> None:
         """Find the simulation; files appear as episodes end.
 
@@ -71,6 +74,8 @@ class Recorder:
             verify: Take the steps again while recording.
             source: The file or the text that its model was compiled from, where the environment
                 does not say it.
+            run: Name of a run to go on with, whose whole episodes stay and whose part files are
+                written again. "" for a new run.
 
         Raises:
             ConfigError: if there is no MuJoCo in it, or the text of its model is not known.
@@ -78,7 +83,7 @@ class Recorder:
         self._env, self._out, self._policy, self._verify = env, Path(out), policy or {}, verify
         self._source = source
         self._log: EpisodeLog | None = None
-        self.run = uuid.uuid4().hex[:8]
+        self._resumed, self.run = bool(run), run or uuid.uuid4().hex[:8]
         self.files: list[Path] = []
         """Files that were begun, in order."""
         self.steps = 0
@@ -108,7 +113,7 @@ class Recorder:
         if model is not self._subject.model:  # some environments compile one for every episode
             self._subject = self._subject_of(model)
         name, index = name_of(self._env), len(self.files)
-        path = self._out / f"{name}-{index:06d}-{self.run}.mcap"
+        path = self._free()
         about = {
             "episode": {
                 "id": hashlib.sha256(f"{self.run}/{index}".encode()).hexdigest()[:16],
@@ -133,6 +138,36 @@ class Recorder:
         )
         self.files.append(path)
         return given
+
+    def has_next(self) -> bool:
+        """Whether the next episode is there, whole, from before its run was stopped; it counts
+        then, and its turn is over.
+        """
+        path = self._path()
+        if not (self._resumed and path.exists()):
+            return False
+        result = Recording(path).result
+        if result.aborted:
+            return False
+        self.files.append(path)
+        self.steps += result.length
+        return True
+
+    def _path(self) -> Path:
+        return self._out / f"{name_of(self._env)}-{len(self.files):06d}-{self.run}.mcap"
+
+    def _free(self) -> Path:
+        """The next episode's file; of a run that goes on, what it left half is begun again: a part
+        file is replaced by the same steps and more, an aborted episode stays beside it.
+        """
+        first = path = self._path()
+        attempt = 1
+        while self._resumed and path.exists():
+            attempt += 1
+            path = first.with_name(f"{first.stem}-{attempt}{first.suffix}")
+        if self._resumed:
+            path.with_name(path.name + PART).unlink(missing_ok=True)
+        return path
 
     def step(self, action: Any) -> Any:
         """Step the environment, and log the step; what the environment gives.
@@ -270,7 +305,6 @@ def record_env(
     about: Json | None = None,
     verify: bool = True,
     source: Path | str | None = None,
-    each: Callable[[Recorder], None] | None = None,
 ) -> Recorder:
     """Run a policy in a Gymnasium environment, and record its episodes.
 
@@ -283,7 +317,6 @@ def record_env(
         about: What is known of the policy: kind, name, checkpoint_sha256.
         verify: Take the steps again while recording.
         source: The file or the text that its model was compiled from, where it does not say it.
-        each: Called after every episode.
 
     Returns:
         The recorder, closed: its files and counts.
@@ -294,13 +327,30 @@ def record_env(
         StorageError: if a file cannot be written.
     """
     with Recorder(env, out, policy=about, verify=verify, source=source) as recorder:
-        seeded = takes_seed(env.reset)
-        for index in range(episodes):
-            given = recorder.reset(**({"seed": seed + index} if seeded else {}))
+        for _ in played(recorder, env, policy, range(seed, seed + episodes)):
+            pass
+    return recorder
+
+
+def played(recorder: Recorder, env: Any, policy: Policy, seeds: Iterable[int]) -> Iterator[Path]:
+    """Run a policy for an episode of each seed; the file of each as it ends.
+
+    Args:
+        recorder: Of the environment.
+        env: The environment itself.
+        policy: Observation in, action out.
+        seeds: Not for a `reset` that takes none.
+
+    Raises:
+        SimulationError: at the first step that cannot be replayed.
+        StorageError: if a file cannot be written.
+    """
+    seeded = takes_seed(env.reset)
+    for seed in seeds:
+        if not recorder.has_next():
+            given = recorder.reset(**({"seed": seed} if seeded else {}))
             observation, over = at_first(given)[0], False
             while not over:
                 found = after(env, recorder.step(policy(observation)))
                 observation, over = found.observation, found.terminated or found.truncated
-            if each is not None:
-                each(recorder)
-    return recorder
+        yield recorder.files[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import warnings
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from coordlog.episode import Array, Json
+from coordlog.episode import MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SpecError
 from coordlog.mjcf import actuator_label, load_attached, same_physics, text_of
 from coordlog.record.display import Shown
@@ -72,9 +73,10 @@ class Subject:
 
     @cached_property
     def names(self) -> Json:
-        """Names of its joints, actuators and geoms, as a header has them."""
+        """Names of its joints, actuators and geoms, and its digest, as a header has them."""
         model = self.model
         return {
+            "model_sha256": hashlib.sha256(self.attached[MODEL_XML]).hexdigest(),
             "joints": hinges(model),
             "actuators": [actuator_label(model, i) for i in range(model.nu)],
             "geoms": [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)],

@@ -168,9 +168,8 @@ class LogEnv:
         """
         self._logs, self.task = logs, bound_task(logs[0])
         models, resting = [log.model for log in logs], resting_of(logs[0].header)
-        self.physics = Physics(
-            models[0], n=len(logs), threads=threads, models=models, resting=resting
-        )
+        own = models if any(model is not models[0] for model in models) else None
+        self.physics = Physics(models[0], n=len(logs), threads=threads, models=own, resting=resting)
         self.simulation = Simulation(self.task, self.physics, n=len(logs))
 
     @property

@@ -96,12 +96,21 @@ class BoundTask:
         if robot.soles:
             self._com = self._sensors(["com"])
             self._upright = self._sensors(["upright"])
-            self._corners = self._sensors(
-                [sole_corner(sole, i) for sole in robot.soles for i in range(4)]
-            )
+            self._corners = self._sensors(self._corner_names())
         self._com_velocity: Array | None = None
         if self.config.balance == "com+zmp" and robot.soles:
             self._com_velocity = self._sensors(["com_velocity"])
+
+    def _corner_names(self) -> list[str]:
+        """The corners of all soles; of those that coincide, as under a sphere, the first: the
+        support polygon is the same, and costs the cube of their number.
+        """
+        names = [sole_corner(sole, i) for sole in self.robot.soles for i in range(4)]
+        apart: dict[tuple[int, bytes], str] = {}
+        for name in names:
+            site = self.model.site(name)
+            apart.setdefault((int(site.bodyid[0]), site.pos.tobytes()), name)
+        return [*apart.values()] if len(apart) > 2 else names
 
     def _sensors(self, names: list[str]) -> Array:
         """Addresses of three-dimensional sensors, (len(names), 3)."""

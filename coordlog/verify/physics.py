@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
-from coordlog.episode import CONTACT, Array, Episode
+from coordlog.episode import CONTACT, INITIAL_STATE, Array, Episode
 from coordlog.errors import CoordlogError
 from coordlog.record.opening import File
 from coordlog.record.recording import Recording
@@ -50,6 +51,7 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
     names: list[str] = []
     episodes: list[Episode] = []
     logs: list[Log] = []
+    models = _Models()
     for path in paths:
         recording = Recording(path)
         name = recording.source
@@ -58,7 +60,7 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
                 inexact[name] = said
                 continue
             episode = recording.episode
-            log = Log.of(episode, recording.model, recording.initial_state)
+            log = Log.of(episode, models.of(recording), recording.initial_state)
         except CoordlogError as error:
             findings.append(
                 Finding(name, "replay", None, "model", "one that can be simulated", str(error))
@@ -78,6 +80,20 @@ def check_replay(paths: Sequence[File], *, threads: int = 1) -> Replays:
                 Finding(name, "replay", *difference) for difference in compare(episode, trace)
             ]
     return Replays(findings, inexact, sum(len(log.action) for log in logs))
+
+
+class _Models:
+    """Compiled models of files, one for those whose attachments are the same as the last one's."""
+
+    def __init__(self) -> None:
+        self._last: tuple[dict[str, bytes], mujoco.MjModel] | None = None
+
+    def of(self, recording: Recording) -> mujoco.MjModel:
+        """A file's model; errors as of `Recording.model`."""
+        said = {name: data for name, data in recording.attachments.items() if name != INITIAL_STATE}
+        if self._last is None or self._last[0] != said:
+            self._last = said, recording.model
+        return self._last[1]
 
 
 def _replay_each(

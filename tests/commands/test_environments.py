@@ -2,6 +2,7 @@
 learnt."""
 
 import json
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import coordlog
+from coordlog.api.environments import Performance
 from coordlog.cli import app
 from coordlog.errors import ConfigError, SpecError
+from coordlog.monitor import Monitor
 from coordlog.policies.foreign import load
+from coordlog.policies.learned import Policy
 from coordlog.record.foreign import record_env, recording
 from coordlog.record.recording import Recording
 from tests.record.test_foreign import TEXT
@@ -24,8 +28,10 @@ class Level:
     """A pointer whose joint is to be held level: reward 0 there, and less away from it; the second
     head asks for little effort."""
 
+    text = TEXT
+
     def __init__(self, heads=1, noise=0.0):
-        self.model = mujoco.MjModel.from_xml_string(TEXT)
+        self.model = mujoco.MjModel.from_xml_string(self.text)
         self.data, self.heads, self.noise = mujoco.MjData(self.model), heads, noise
 
     def reset(self, seed=None):
@@ -139,7 +145,109 @@ def test_an_environment_of_gymnasiums_judges_what_was_learnt_of_it(tmp_path):
     ]
     refused = RUN.invoke(app, elsewhere)
     assert isinstance(refused.exception, ConfigError)
-    assert "expected an observation of 4 numbers" in str(refused.exception)
+    assert "learnt in 'InvertedPendulum-v5'" in str(refused.exception)
+    older = [*again[:2], "InvertedPendulum-v4", *again[3:], "--json"]
+    said = RUN.invoke(app, older)
+    assert said.exit_code == 0, said.output
+    assert "acts in 'InvertedPendulum-v4', whose model is" in said.stderr
+
+
+class Heard(Monitor):
+    """Keeps what is said."""
+
+    def __init__(self):
+        self.said = []
+
+    def note(self, text):
+        self.said.append(text)
+
+
+class Elsewhere(Level):
+    """Another environment, by its name."""
+
+
+class Heavier(Level):
+    """Of another model."""
+
+    text = TEXT.replace('size=".05"', 'size=".06"')
+
+
+class Renamed(Level):
+    """Of another robot with as many joints."""
+
+    text = TEXT.replace('"k"', '"elbow"')
+
+
+@pytest.mark.parametrize(
+    ("env", "named", "wanted"),
+    [
+        (Level, "Level", ""),
+        (Heavier, "Level", "another model here than where it was learnt"),
+        (Elsewhere, "Elsewhere", "acts in 'Elsewhere', whose model is the same"),
+        (Heavier, "Heavier", None),
+        (Renamed, "Renamed", None),
+    ],
+)
+def test_what_was_learnt_acts_at_home_and_elsewhere_with_a_word_or_not_at_all(
+    env, named, wanted, tmp_path
+):
+    record_env(Level(), wander(0), episodes=1, out=tmp_path / "l", source=TEXT, verify=False)
+    run = tmp_path / "run"
+    assert train("--from", tmp_path / "l", "--out", run, "--updates", 1, *FEW).exit_code == 0
+    here = env()
+    here.spec = SimpleNamespace(id=named)  # as Gymnasium says what an environment is called
+    given = {"episodes": 1, "out": tmp_path / "new", "source": env.text, "verify": False}
+    heard = Heard()
+    if wanted is None:
+        with pytest.raises(ConfigError, match=f"learnt in 'Level'.* than in '{named}'"):
+            coordlog.record(here, run, monitor=heard, **given)
+        assert not (tmp_path / "new").exists()
+        return
+    assert len(coordlog.record(here, run, monitor=heard, **given)) == 1
+    assert [wanted in text for text in heard.said] == [True] * bool(wanted)
+
+
+def test_an_evaluation_that_was_cut_goes_on_with_what_is_whole(tmp_path):
+    record_env(Level(), wander(0), episodes=2, out=tmp_path / "l", source=TEXT, verify=False)
+    run = tmp_path / "run"
+    assert train("--from", tmp_path / "l", "--out", run, "--updates", 1, *FEW).exit_code == 0
+    policy = Policy.load(run / "policy.safetensors")
+
+    def judge(folder, env):
+        folder = tmp_path / folder
+        return Performance(env, policy.about["env"], folder, run="r", episodes=3, window=None)(
+            policy, 7
+        ), sorted((folder / "episodes" / "eval-0000007").iterdir())
+
+    class Cut(Level):
+        """The process is stopped in the second episode."""
+
+        episodes = 0
+
+        def reset(self, seed=None):
+            self.episodes += 1
+            return super().reset(seed)
+
+        def step(self, action):
+            if self.episodes == 2 and self.count == 9:
+                raise KeyboardInterrupt
+            return super().step(action)
+
+    Cut.__name__ = "Level"
+    figures, files = judge("whole", Level())
+    with pytest.raises(KeyboardInterrupt):
+        judge("cut", Cut())
+    folder = tmp_path / "cut" / "episodes" / "eval-0000007"
+    first = sorted(folder.iterdir())[0]
+    kept = first.read_bytes()
+    half = folder / (files[2].name + ".part")  # as a killed process leaves it
+    half.write_bytes(files[2].read_bytes()[:4000])
+    again, found = judge("cut", Level())
+    assert again == figures
+    assert first.read_bytes() == kept
+    whole = [path for path in found if not Recording(path).result.aborted]
+    assert [path.suffix for path in found] == [".mcap"] * 4
+    assert len(whole) == 3
 
 
 @pytest.mark.parametrize(
