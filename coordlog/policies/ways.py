@@ -33,8 +33,9 @@ def postures(reach: Reach) -> list[Array]:
     joints, every fourth search may fail.
     """
     rng = np.random.default_rng(0)
-    goals = [anywhere(rng, reach) for _ in range(SURVEYED)]
-    if np.mean([reach.solve(goal) is not None for goal in goals]) >= NEARLY:
+    drawn = [anywhere(rng, reach) for _ in range(SURVEYED)]
+    goals = [goal for goal in drawn if goal is not None]
+    if not goals or np.mean([reach.solve(goal) is not None for goal in goals]) >= NEARLY:
         return []
     middle, half = reach.limits.mean(axis=1), np.ptp(reach.limits, axis=1) / 2
     strange = rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half, (STRANGE, len(middle)))
