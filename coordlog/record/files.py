@@ -299,6 +299,8 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path]]:
 
 def _is_path_of_bag(path: Path) -> bool:
     """Whether a file is what `coordlog export --to rosbag2` puts beside a smoothed episode."""
+    if not path.name.endswith(PATH_OF_BAG):  # of many files, hardly one is
+        return False
     bag = path.parent
     others = (bag / f"{bag.name}{SUFFIX}", bag / "metadata.yaml")
     return path.name == bag.name + PATH_OF_BAG and all(other.is_file() for other in others)
