@@ -106,7 +106,7 @@ class BoundTask:
         support polygon is the same, and costs the cube of their number.
         """
         names = [sole_corner(sole, i) for sole in self.robot.soles for i in range(4)]
-        apart = {}
+        apart: dict[tuple[int, bytes], str] = {}
         for name in names:
             site = self.model.site(name)
             apart.setdefault((int(site.bodyid[0]), site.pos.tobytes()), name)
