@@ -174,6 +174,10 @@ class Kinematics(Protocol):
         """Joint angles that bring every palm to its goal (k, 3), balanced and touching nothing."""
         ...
 
+    def legal(self, angles: Array, *, clearance: float = 0.0) -> bool:
+        """Whether a posture is balanced and touches nothing."""
+        ...
+
 
 class Task(Protocol):
     """What is asked of the robot: pure functions of arrays, in a folder of its own in tasks/.

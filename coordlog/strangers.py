@@ -12,6 +12,8 @@ import stat
 
 HEAD = 4096
 """Bytes that are enough to know a stranger by."""
+PARQUET = b"PAR1"
+"""What a Parquet file begins with."""
 
 _IMPORT = "`coordlog import` takes it"
 _ARRAYS = "read it in Python and give the arrays to coordlog.smooth.smooth"
@@ -24,7 +26,7 @@ _MAGIC: tuple[tuple[bytes, str], ...] = (
     ),
     (b"SQLite format 3\0", f"an SQLite database, as rosbag2 writes (.db3): {_IMPORT}"),
     (b"\x89HDF\r\n\x1a\n", f"an HDF5 file, not an episode: {_IMPORT}"),
-    (b"PAR1", f"a Parquet file, not an episode: {_IMPORT}"),
+    (PARQUET, f"a Parquet file, not an episode: {_IMPORT}"),
     (b"ARROW1", f"an Arrow file, not an episode: {_ARRAYS}"),
     (b"\x93NUMPY", f"a NumPy array (.npy), not an episode: {_ARRAYS}"),
     (b"\x1f\x8b", "compressed with gzip: unpack it first (gunzip)"),

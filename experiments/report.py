@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
-from experiments import cells, claims, planning, stops, tables, torso
+from experiments import ablation, cells, claims, planning, stops, tables, torso
 from experiments.cells import Tables
 from experiments.measure import SEED
 from experiments.recipes import recipes
@@ -53,6 +53,7 @@ def render(found: Tables) -> str:
     parts += [f"## {scene.capitalize()}\n\n{scene_table(found, scene)}" for scene in tables.SCENES]
     parts += [
         stops.section(found),
+        *([text] if (text := ablation.section(found)) else []),
         torso.section(found),
         planning.section(found),
         claims.section(found),

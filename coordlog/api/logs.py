@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.catalog.asking import chosen
-from coordlog.errors import FormatError, SpecError
+from coordlog.catalog.asking import chosen, scenes
+from coordlog.errors import SpecError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 from coordlog.sim.foreign import of_environment
@@ -42,11 +42,12 @@ def load_logs(
         SpecError: if there is nothing to learn from, or the episodes are of several scenes.
     """
     from coordlog.record.cache import load
-    from coordlog.record.files import find_files, nothing_found
+    from coordlog.record.files import find_files, nothing_found, refused
 
     files = chosen(paths, where, jobs=jobs, monitor=monitor) if where else find_files(paths)
     if not files.paths:
         raise nothing_found(paths, files, wanted="no logs: ")
+    require_one_scene(scenes(paths, files))  # before all of them are decoded
     heard = Monitor() if monitor is None else monitor
 
     def run(
@@ -61,20 +62,29 @@ def load_logs(
     logs = replace(logs, skipped=(*files.skipped, *logs.skipped))
     for text in logs.notes:
         heard.note(text)
+    if logs.skipped and not skip_broken:
+        raise refused(logs.skipped, "--skip-broken learns from the others")
     for item in logs.skipped:
-        if not skip_broken:
-            raise FormatError(f"{item.path}: {item.reason}; --skip-broken learns from the others")
         heard.note(f"skipped: {item.path}: {item.reason}")
-    scenes = sorted(set(logs.episodes.column("scene").to_pylist()))
-    if len(scenes) > 1:
-        raise SpecError(
-            f"logs of several scenes ({', '.join(scenes)}): learn from one, "
-            f"for example --where \"scene = '{scenes[0]}'\""
-        )
+    require_one_scene(logs.episodes.column("scene").to_pylist())
     if not (environments and of_environment(logs.env(0))):
         _require_task(logs)
     _require_alike(logs)
     return logs
+
+
+def require_one_scene(scenes: Iterable[str]) -> None:
+    """Refuse episodes of several scenes.
+
+    Raises:
+        SpecError: if there are.
+    """
+    found = sorted(set(scenes))
+    if len(found) > 1:
+        raise SpecError(
+            f"logs of several scenes ({', '.join(found)}): learn from one, for example"
+            f" --where \"scene = '{found[0]}'\""
+        )
 
 
 def _require_task(logs: Logs) -> None:

@@ -11,7 +11,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordlog.errors import ConfigError, FormatError, SpecError
+from coordlog.api.logs import require_one_scene
+from coordlog.errors import ConfigError
 from coordlog.monitor import Monitor
 from coordlog.parallel import mapped
 
@@ -47,24 +48,18 @@ def listed(
     from coordlog.catalog.asking import gathered
     from coordlog.catalog.query import ask
     from coordlog.record.cache import Logs
-    from coordlog.record.files import find_files, nothing_found
+    from coordlog.record.files import find_files, nothing_found, refused
     from coordlog.record.recording import Recording
 
     found = gathered(paths, jobs=jobs, monitor=monitor, tell=skip_broken)
     if found.skipped and not skip_broken:
-        path, reason = found.skipped[0]
-        raise FormatError(f"{path}: {reason}; --skip-broken learns from the others")
+        raise refused(found.skipped, "--skip-broken learns from the others")
     rows = ask(_EPISODES, found.sources, where=where)
     if not len(rows) and where:
         raise ConfigError(f"--where: no episode satisfies: {where}")
     if not len(rows):
         raise nothing_found(paths, find_files(paths), wanted="no logs: ")
-    scenes = sorted(set(rows.column("scene").to_pylist()))
-    if len(scenes) > 1:
-        raise SpecError(
-            f"logs of several scenes ({', '.join(scenes)}): learn from one, for example"
-            f" --where \"scene = '{scenes[0]}'\""
-        )
+    require_one_scene(rows.column("scene").to_pylist())
     first = json.dumps(Recording(rows.column("file")[0].as_py()).header.env)
     envs = pa.array([first] + [""] * (len(rows) - 1))  # of the others it is looked at when read
     return Logs(pa.table({}), rows.append_column("env", envs), tuple(found.skipped))

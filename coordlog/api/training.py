@@ -6,7 +6,7 @@ import hashlib
 import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -295,14 +295,14 @@ def trainer_of(run: Run, source: LiveSource | None, hooks: Hooks) -> Trainer:
         hooks: Evaluation, progress, stop.
     """
     kept = ("scene", "mode", "env", "seed", "data", "log_episodes", "where")
+    about = {key: run.about[key] for key in kept}
     return Trainer(
         run.task,
         run.constants.settings,
         folder=run.folder,
         logs=run.data,
         source=source,
-        hooks=hooks,
-        about={key: run.about[key] for key in kept},
+        hooks=replace(hooks, about=about),
         device=run.plan.device,
     )
 

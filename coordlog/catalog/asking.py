@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,19 @@ def chosen(
         raise ConfigError(f"--where: no episode of {total} satisfies: {where}")
     others = tuple(sorted(found.others.items()))
     return Files(kept, tuple(found.parts), tuple(found.skipped), others)
+
+
+def scenes(folders: Sequence[Path], files: Files) -> list[str]:
+    """Scenes of files, as far as catalogues know them that are there; nothing is read for it."""
+    known: set[str] = set()
+    for folder in folders:
+        if folder.is_dir() and (catalog := Catalog(folder)).parts():
+            rows = catalog.episodes()
+            columns = (rows.column(each).to_pylist() for each in ("path", "scene", "size", "mtime"))
+            for name, scene, *stamp in zip(*columns, strict=True):
+                if files.stamps.get(os.path.join(folder, name)) == tuple(stamp):
+                    known.add(scene)
+    return sorted(known)
 
 
 def catalogued(folder: Path, paths: Iterable[Path]) -> None:

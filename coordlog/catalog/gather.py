@@ -20,7 +20,7 @@ from coordlog.catalog.rows import COLUMNS, EMPTY, KEPT, Job, described, table_of
 from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record import manifest
-from coordlog.record.addresses import is_elsewhere, size_and_time
+from coordlog.record.addresses import is_elsewhere, is_single, size_and_time
 from coordlog.record.files import Files, Skipped, find_files, nothing_found
 from coordlog.record.places import Entry, is_url
 from coordlog.record.store import LocalStore
@@ -52,7 +52,11 @@ class Gathered:
 
 
 def gather(
-    paths: Iterable[str | os.PathLike[str]], *, scan: bool = True, run: Run = serial
+    paths: Iterable[str | os.PathLike[str]],
+    *,
+    scan: bool = True,
+    run: Run = serial,
+    nothing: bool = False,
 ) -> Gathered:
     """Rows of the episodes that some paths name; a file that several name comes once.
 
@@ -60,17 +64,18 @@ def gather(
         paths: Folders, packs, addresses of stores, manifests, files.
         scan: Look at the files first; False believes the catalogues.
         run: Maps over groups of new files.
+        nothing: Whether nothing may be found.
 
     Raises:
         StorageError: if a path does not exist.
-        SpecError: if the files were looked at, and none is an episode.
+        SpecError: if the files were looked at, none is an episode, and that is not allowed.
     """
     found, files, lists = Gathered(), list[Path](), list[Path]()
     given = [Path(path) for path in paths]
     for path in given:
         if manifest.is_manifest(path):
             lists.append(path)
-        elif _is_one(path):
+        elif is_single(path):
             files.append(path)
         else:
             _folder(path, found, scan=scan, run=run)
@@ -79,7 +84,7 @@ def gather(
         found.sources = _once(found.sources)
     for path in lists:
         _manifest(path, found, scan=scan, run=run)
-    if scan and not lists and not any(map(_is_used, found.sources)):
+    if not nothing and scan and not lists and not any(map(_is_used, found.sources)):
         others = tuple(sorted(found.others.items()))
         raise nothing_found(given, Files((), tuple(found.parts), tuple(found.skipped), others))
     return found
@@ -90,12 +95,6 @@ def _is_used(source: Source) -> bool:
     if isinstance(source.rows, Path):
         return True
     return bool(source.rows.column("error").null_count)
-
-
-def _is_one(path: Path) -> bool:
-    if is_elsewhere(path):
-        return path.suffix == ".mcap"
-    return not path.is_dir()
 
 
 def _folder(path: Path, found: Gathered, *, scan: bool, run: Run) -> None:
@@ -155,7 +154,7 @@ def _manifest(path: Path, found: Gathered, *, scan: bool, run: Run) -> None:
     for source in chosen.about.get("sources", []):
         where = Path(source) if is_url(source) else folder / source
         if is_elsewhere(where) or where.exists():
-            part = gather([where], scan=scan, run=run)
+            part = gather([where], scan=scan, run=run, nothing=True)
             inner.sources += part.sources
             inner.notes += part.notes
             inner.folders += part.folders

@@ -2,9 +2,9 @@
 them.
 
 The files of a catalogue lie in `.catalog/` of what they describe. Each is written once, whole, and
-named by a number; a later one has the word about a path. Size and mtime of every file decide
-whether its row holds; what is new or changed is read, what is gone is marked. Whatever is damaged
-or of another edition is described anew. Deleting a catalogue costs only time.
+named by a number and its checksum; a later one has the word about a path. Size and mtime of every
+file decide whether its row holds; what is new or changed is read, what is gone is marked. Whatever
+is damaged or of another edition is described anew. Deleting a catalogue costs only time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import hashlib
 import io
 import os
 import re
-import uuid
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -29,18 +29,18 @@ from coordlog.catalog.rows import EMPTY, KEPT, Job, described, table_of, tombsto
 from coordlog.errors import StorageError
 from coordlog.parallel import batches
 from coordlog.record.addresses import contents_of, place_at
+from coordlog.record.files import CATALOG
 from coordlog.record.places import Entry, Folder, Place
 from coordlog.record.store import Store, store_of
 
-FOLDER = ".catalog"
-EDITION = "2"
+EDITION = "3"
 """Files of another edition are described anew."""
 GROUP = 64
 """Files that one process describes before it answers."""
 MOST_PARTS = 32
 """A catalogue of more files than this is merged into one."""
 
-_NAME = re.compile(r"^part-(\d{6,})-[0-9a-f]{8}\.parquet$")
+_NAME = re.compile(r"^part-(\d{6,12})-([0-9a-f]{8})\.parquet$")
 
 Run = Callable[
     [Callable[[Job], list[dict[str, Any]]], Sequence[Job]], Iterable[list[dict[str, Any]]]
@@ -59,6 +59,8 @@ class Change:
     gone: int
     notes: tuple[str, ...]
     """What was wrong with the catalogue, and what was done about it."""
+    kept: bool
+    """Whether the catalogue could be written."""
 
 
 class Mismatch(NamedTuple):
@@ -96,6 +98,7 @@ class Catalog:
         self._place: Place = place_at(self.root)
         self._rows: pa.Table | None = None
         self._notes: list[str] = []
+        self._kept = True
         self._broken: list[str] = []
 
     def rows(self) -> pa.Table:
@@ -116,12 +119,9 @@ class Catalog:
         parts = self.parts()
         if len(parts) == 1 and isinstance(self._place, Folder):
             path = self._place.path / parts[0]
-            with suppress(pa.ArrowException, OSError):
-                schema = pq.read_schema(path)
-                about = schema.metadata or {}
-                whole = about.get(b"coordlog_catalog") == EDITION.encode()
-                if whole and schema.names == KEPT.names:
-                    return path
+            with suppress(pa.ArrowException, OSError, ValueError):
+                require_sound(parts[0], pa.memory_map(str(path)).read_buffer())
+                return path
         return self.rows()
 
     def episodes(self) -> pa.Table:
@@ -139,7 +139,7 @@ class Catalog:
     def parts(self) -> list[str]:
         """Names of the files of the catalogue, oldest first."""
         try:
-            names = [entry.name for entry in self._place.entries(FOLDER)]
+            names = [entry.name for entry in self._place.entries(CATALOG)]
         except StorageError:
             if not isinstance(self._place, Folder):
                 raise
@@ -168,7 +168,9 @@ class Catalog:
         changed = sum(entry.name in known for entry in fresh)
         keep = always or len(fresh) > GROUP or bool(self.parts())
         self._describe(fresh, gone, run=run, keep=keep)
-        change = Change(len(fresh) - changed, changed, len(gone), tuple(self._notes))
+        change = Change(
+            len(fresh) - changed, changed, len(gone), tuple(self._notes), kept=self._kept
+        )
         self._notes = []
         return change
 
@@ -216,7 +218,7 @@ class Catalog:
     def _describe(
         self, fresh: Sequence[Entry], gone: Sequence[str], *, run: Run, keep: bool = True
     ) -> None:
-        if not fresh and not gone:
+        if not fresh and not gone and not self._broken:
             return
         below = self._described_below(fresh)
         rest = _others(fresh, _stamps(below))
@@ -227,7 +229,8 @@ class Catalog:
         if not keep:
             return
         try:
-            self._write(added)
+            if len(added):
+                self._write(added)
             for name in self._broken:
                 self._place.remove(name)
             self._broken = []
@@ -235,6 +238,7 @@ class Catalog:
                 self.compact()
         except StorageError as error:
             self._notes.append(f"the catalogue is not kept: {error}")
+            self._kept = False
 
     def _described_below(self, fresh: Sequence[Entry]) -> pa.Table:
         """Rows that the catalogues of folders within this one have of some files."""
@@ -244,7 +248,7 @@ class Catalog:
         wanted = {each.name: (each.size, each.mtime) for each in fresh}
         tables = [EMPTY]
         for folder in sorted(folders - {"."}):
-            if (self._place.path / folder / FOLDER).is_dir():
+            if (self._place.path / folder / CATALOG).is_dir():
                 rows = Catalog(self._place.path / folder).rows()
                 names = [f"{folder}/{name}" for name in rows.column("path").to_pylist()]
                 rows = rows.set_column(0, KEPT.field("path"), pa.array(names, pa.string()))
@@ -258,25 +262,18 @@ class Catalog:
     def _write(self, rows: pa.Table) -> None:
         """Write one more file of the catalogue."""
         numbers = [int(name.split("-")[-2]) for name in self.parts()]
-        name = f"part-{max(numbers, default=0) + 1:06d}-{uuid.uuid4().hex[:8]}.parquet"
         about = {"coordlog_catalog": EDITION}
         sink = io.BytesIO()
         pq.write_table(rows.replace_schema_metadata(about), sink, compression="zstd")
-        self._place.create(f"{FOLDER}/{name}", sink.getvalue())
+        data = sink.getvalue()
+        name = f"{CATALOG}/part-{max(numbers, default=0) + 1:06d}-{zlib.crc32(data):08x}.parquet"
+        if self._place.entry(name) is None:  # somebody else has described the same
+            self._place.create(name, data)
 
     def _read(self, name: str) -> pa.Table:
         """One file of the catalogue; an empty table for one that cannot be used."""
         try:
-            table = pq.ParquetFile(pa.BufferReader(self._place.read(name))).read()
-            about = table.schema.metadata or {}
-            edition = about.get(b"coordlog_catalog", b"none").decode()
-            if edition != EDITION:
-                raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
-            if table.schema.names != KEPT.names:
-                raise ValueError("it has other columns than its edition")
-            if table.column("path").null_count:
-                raise ValueError("it has rows of no file")
-            return table.cast(KEPT)
+            return require_sound(name, self._place.read(name)).read().cast(KEPT)
         except (pa.ArrowException, OSError, ValueError) as error:
             self._notes.append(
                 f"{self.root}/{name}: cannot be used and is written anew: "
@@ -284,6 +281,23 @@ class Catalog:
             )
             self._broken.append(name)
             return EMPTY
+
+
+def require_sound(name: str, data: Any) -> pq.ParquetFile:
+    """A file of a catalogue, if it is as it was written.
+
+    Raises:
+        ValueError: if it is of another edition, or its bytes are not those of its name.
+        ArrowException: if it is no Parquet file.
+    """
+    found = _NAME.match(PurePosixPath(name).name)
+    file = pq.ParquetFile(pa.BufferReader(data))
+    edition = (file.schema_arrow.metadata or {}).get(b"coordlog_catalog", b"none").decode()
+    if edition != EDITION:
+        raise ValueError(f"it is of edition {edition}, this release writes {EDITION}")
+    if found is None or zlib.crc32(data) != int(found[2], 16):
+        raise ValueError("its bytes are not those that were written")
+    return file
 
 
 def _stamps(rows: pa.Table) -> dict[str, Stamp]:

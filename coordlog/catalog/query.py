@@ -1,13 +1,14 @@
 """SQL over catalogues, and over the steps of episodes: read-only, and blind to everything else.
 
 DuckDB sees two views, `episodes` and, where asked for, `steps`; its configuration is locked with no
-access to files, extensions or Python's variables. Steps are decoded as they are asked for, a few
-files at a time, so that memory stays flat.
+access to files, extensions or Python's variables, and a bound on memory. Steps are decoded as they
+are asked for, a few files at a time, so that memory stays flat.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,11 +28,19 @@ PATHS = "select path from episodes"
 """The question of who looks for files."""
 GROUP = 32
 """Files that are decoded together for `steps`."""
+MOST = 2_000_000_000
+"""Bytes that a query may take, and that its answer may have."""
+ROWS = 100_000
+"""Rows of an answer that are taken at a time."""
+TIMEOUT = 600.0
+"""Time that a query may take [s]: recursion need not end."""
 
 _CONFIG: dict[str, Any] = {
     "autoload_known_extensions": "false",
     "autoinstall_known_extensions": "false",
     "python_enable_replacements": "false",
+    "memory_limit": f"{MOST}B",
+    "temp_directory": "",  # a large sort would be written into the folder that we run in
 }
 
 
@@ -48,7 +57,14 @@ class Source(NamedTuple):
     """"" where paths are whole already"""
 
 
-def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = False) -> pa.Table:
+def ask(
+    sql: str,
+    sources: Sequence[Source],
+    *,
+    where: str = "",
+    steps: bool = False,
+    timeout: float = TIMEOUT,
+) -> pa.Table:
     """The answer to one SELECT over `episodes` and, if asked for, `steps`.
 
     Args:
@@ -56,9 +72,10 @@ def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = F
         sources: Where episodes are described.
         where: An SQL condition that restricts both views.
         steps: Offer the view `steps`; all its episodes must be of one layout.
+        timeout: Time that it may take [s].
 
     Raises:
-        ConfigError: if it is not one SELECT over these views.
+        ConfigError: if it is not one SELECT over these views, or takes more than it may.
         CoordlogError: if steps cannot be read.
     """
     import duckdb
@@ -68,26 +85,71 @@ def ask(sql: str, sources: Sequence[Source], *, where: str = "", steps: bool = F
         # Only the catalogue's own files can be read, and nothing can be written, from here on.
         connection.execute(f"set allowed_paths = [{', '.join(files)}]")
         connection.execute("set enable_external_access = false")
-        stream: StepStream | None = None
-        try:
-            _require_select(connection, sql)
-            _describe(connection, sources, where)
-            if steps:
-                connection.execute("create table numbered as select * from episodes")
-                connection.execute("create or replace view episodes as select * from numbered")
-                paths = connection.execute("select path from numbered order by row").fetchall()
-                stream = StepStream([Path(path) for (path,) in paths])
-                connection.register("steps", stream)
-            connection.execute("set lock_configuration = true")
-            return _require_names(connection.sql(sql).to_arrow_table())
-        except duckdb.Error as error:
-            if stream is not None and stream.error is not None:
-                raise stream.error from None
-            names, what = ", ".join(OFFERED), "--where" if sql == PATHS else "SQL"
+        # DuckDB works in a thread of its own, since it hears of Ctrl-C now and then only.
+        with ThreadPoolExecutor(1) as thread:
+            work = thread.submit(_answered, connection, sql, sources, where, steps=steps)
+            try:
+                done, _ = wait([work], timeout)
+                if done:
+                    return work.result()
+                raise ConfigError(
+                    f"{_what(sql)}: no answer after {timeout:g} s; ask for less, or wait longer"
+                    " with --timeout"
+                )
+            finally:
+                while not work.done():  # it may be between two statements
+                    connection.interrupt()
+                    wait([work], 0.1)
+
+
+def _answered(
+    connection: Any, sql: str, sources: Sequence[Source], where: str, *, steps: bool
+) -> pa.Table:
+    """As `ask`, on a connection that can do no harm."""
+    import duckdb
+
+    stream: StepStream | None = None
+    try:
+        _require_select(connection, sql)
+        _describe(connection, sources, where)
+        if steps:
+            connection.execute("create table numbered as select * from episodes")
+            connection.execute("create or replace view episodes as select * from numbered")
+            paths = connection.execute("select path from numbered order by row").fetchall()
+            stream = StepStream([Path(path) for (path,) in paths])
+            connection.register("steps", stream)
+        connection.execute("set lock_configuration = true")
+        return _require_names(_read(connection.sql(sql).to_arrow_reader(ROWS)))
+    except (duckdb.Error, OSError) as error:
+        if stream is not None and stream.error is not None:
+            raise stream.error from None
+        text = f"{_what(sql)}: {_said(error)}"
+        if isinstance(error, duckdb.ProgrammingError):  # no SQL, or of other names
+            text += f"; the view episodes has the columns {', '.join(OFFERED)}"
+            text += "" if steps else "; --steps offers the view steps"
+        raise ConfigError(text) from None
+
+
+def _what(sql: str) -> str:
+    """What of a command line a question came from."""
+    return "--where" if sql == PATHS else "SQL"
+
+
+def _read(reader: pa.RecordBatchReader) -> pa.Table:
+    """The rows of an answer, if they are not too many.
+
+    Raises:
+        ConfigError: if they are.
+    """
+    batches, size = [], 0
+    for batch in reader:
+        batches.append(batch)
+        size += batch.nbytes
+        if size > MOST:
             raise ConfigError(
-                f"{what}: {_said(error)}; the view episodes has the columns {names}"
-                + ("" if steps else "; --steps offers the view steps")
-            ) from None
+                f"SQL: the answer is of more than {MOST / 1e9:g} GB; ask for fewer rows or columns"
+            )
+    return pa.Table.from_batches(batches, reader.schema)
 
 
 def _require_select(connection: Any, sql: str) -> None:

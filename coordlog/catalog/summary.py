@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from coordlog.catalog.gather import Gathered, gather
-from coordlog.catalog.index import Run, serial
+from coordlog.catalog.gather import Gathered
 from coordlog.episode import Json
 from coordlog.record.files import Skipped
 
@@ -78,20 +76,6 @@ class Summary:
             "skipped": [{"path": str(path), "reason": reason} for path, reason in self.skipped],
             "parts": [str(path) for path in self.parts],
         }
-
-
-def summarise(paths: Iterable[str | os.PathLike[str]], *, run: Run = serial) -> Summary:
-    """Summarise folders, packs, stores, manifests and files; a broken file becomes an entry of
-    `skipped`.
-
-    Args:
-        paths: What to look at.
-        run: Maps over groups of files that no catalogue describes yet.
-
-    Raises:
-        StorageError: if a path does not exist, or the only one cannot be read.
-    """
-    return summary(gather(paths, run=run))
 
 
 def summary(found: Gathered) -> Summary:

@@ -36,8 +36,8 @@ def index(
     """Bring the catalogue of a folder up to date: a row per episode, for `query` and `select`.
 
     Only files whose size or time have changed are read. The catalogue lies in `.catalog/` of the
-    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named), 1 if
-    --verify finds other bytes than were catalogued.
+    folder; deleting it costs only time. Exit code 3 if files are no sound episodes (named) or the
+    catalogue could not be written, 1 if --verify finds other bytes than were catalogued.
 
     Examples:
 
@@ -56,6 +56,8 @@ def index(
     if any(report["left_out"] for report in reports):
         some = any(report["episodes"] for report in reports)
         raise typer.Exit(EXIT_PARTIAL if some else EXIT_BAD_INPUT)
+    if not all(report["kept"] for report in reports):
+        raise typer.Exit(EXIT_PARTIAL)
 
 
 def _bring(
@@ -87,7 +89,7 @@ def _bring(
     return {
         "root": catalog.root,
         "episodes": count,
-        **{name: getattr(change, name) for name in ("new", "changed", "gone")},
+        **{name: getattr(change, name) for name in ("new", "changed", "gone", "kept")},
         "broken": dict(bad),
         "left_out": files.left_out(),
         "mismatches": [item._asdict() for item in wrong],

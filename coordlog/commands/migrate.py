@@ -44,13 +44,14 @@ def migrate(
 
         coordlog migrate logs/ --out migrated/
     """
+    from coordlog.record.addresses import name_within
     from coordlog.record.files import find_files, nothing_found
     from coordlog.record.places import require_folder
 
     require_folder(out)
     given = [(root, find_files(root)) for root in path]
     pairs = [
-        (name, out / (name.relative_to(root) if root.is_dir() else name.name))
+        (name, out / name_within(name, root, several=False))
         for root, files in given
         for name in files.paths
     ]

@@ -42,6 +42,7 @@ def query(
     scan: Annotated[
         bool, typer.Option(help="Look at the files first; --no-scan believes the catalogue.")
     ] = True,
+    timeout: Annotated[float, typer.Option(min=0, help="Longest time for an answer [s].")] = 600,
     jobs: Jobs = "0",
     as_json: Annotated[bool, json_flag("every row")] = False,
 ) -> None:
@@ -64,7 +65,7 @@ def query(
     if out is not None and out.suffix not in FORMATS:
         raise ConfigError(f"--out: expected a name that ends in {', '.join(FORMATS)}, got {out}")
     found = gathered(path or [Path("logs")], scan=scan, jobs=jobs, monitor=terminal.Watcher())
-    table = ask(sql, found.sources, where=where, steps=steps)
+    table = ask(sql, found.sources, where=where, steps=steps, timeout=timeout)
     if out is not None:
         _write(table, out)
         terminal.say(f"{out}: {table.num_rows:,} rows")

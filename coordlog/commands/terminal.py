@@ -10,6 +10,7 @@ import codecs
 import json
 import math
 import os
+import re
 import signal
 import sys
 import unicodedata
@@ -43,6 +44,7 @@ _INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
 """Unicode categories of what a terminal might obey instead of showing."""
 _PLAIN = {"₁": "1", "₂": "2", "µ": "u", "×": "x", "…": "...", "→": "->", "≤": "<=", "≥": ">="}
 _ERRORS = "coordlog.plain"
+_ADDRESS = re.compile(r"(?<![\w/])(s3|gs|az):/(?=[^/])")
 
 
 class _Console(Console):
@@ -101,9 +103,9 @@ def shown(text: object) -> str:
         >>> shown("a\x1b[31mb")
         'a\\x1b[31mb'
     """
+    whole = _ADDRESS.sub(r"\1://", str(text))  # paths spell s3://a with one slash
     return "".join(
-        ascii(each)[1:-1] if unicodedata.category(each) in _INVISIBLE else each
-        for each in str(text)
+        ascii(each)[1:-1] if unicodedata.category(each) in _INVISIBLE else each for each in whole
     )
 
 

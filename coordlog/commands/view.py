@@ -13,8 +13,10 @@ from coordlog.commands.options import flag
 from coordlog.errors import EXIT_PARTIAL, StorageError
 
 Shown = Annotated[
-    list[Path], typer.Argument(help="Episodes to show together, or one folder for an overview.")
+    list[Path],
+    typer.Argument(help="Episodes to show together; or folders, packs, manifests for an overview."),
 ]
+Where = Annotated[str, typer.Option(help='Overview of which episodes, in SQL: "not clean".')]
 Beside = Annotated[
     Path | None,
     typer.Option(
@@ -36,6 +38,7 @@ NoOpen = Annotated[bool, flag("--no-open", "Build the recording and show nothing
 
 def view(
     path: Shown,
+    where: Where = "",
     beside: Beside = None,
     alone: Annotated[bool, flag("--alone", "Do not look for a sibling.")] = False,
     ghosts: Ghosts = False,
@@ -57,18 +60,19 @@ def view(
 
         coordlog view raw.mcap smoothed.mcap --ghosts --save both.rrd
 
-        coordlog view logs/ --screenshot overview.png
+        coordlog view logs/ --where "not clean" --screenshot overview.png
     """
     for target in (save, screenshot):
         if target is not None and target.exists():
             raise StorageError(
                 f"{target}: the file exists and is not overwritten; choose another name"
             )
+    from coordlog.catalog.asking import chosen
     from coordlog.view import files
 
-    drawn = files.draw_files(
-        path, beside=beside, alone=alone, ghosts=ghosts, monitor=terminal.Watcher()
-    )
+    watcher = terminal.Watcher()
+    asked = chosen(path, where, monitor=watcher) if where else path
+    drawn = files.draw_files(asked, beside=beside, alone=alone, ghosts=ghosts, monitor=watcher)
     with tempfile.TemporaryDirectory(prefix="coordlog-") as folder:
         rrd = save or Path(folder) / "episode.rrd"
         files.save(drawn.stream, rrd)

@@ -7,7 +7,6 @@ a display, through EGL or OSMesa.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from copy import copy
@@ -16,15 +15,15 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import INITIAL_STATE, Array
-from coordlog.errors import ConfigError, FormatError, SimulationError, unknown
+from coordlog.errors import ConfigError, FormatError, unknown
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
 from coordlog.mjcf import load_attached
 from coordlog.sim.physics import STATE
+from coordlog.sim.render import offscreen
 from coordlog.sim.replay import Log, exact_here, replay
 
 _FREE = re.compile(r"pos=(?P<pos>[-\d.,e]+)\s+lookat=(?P<lookat>[-\d.,e]+)")
-_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 KINDS = ("rgb", "depth", "segmentation")
 """What a camera may show: `NAME` or `NAME:rgb`, `NAME:depth`, `NAME:segmentation`."""
 
@@ -76,21 +75,8 @@ class Canvas:
         self._options = mujoco.MjvOption()
         self._image = np.empty((height, width, 3), np.uint8)
         self._depth = np.empty((height, width), np.float32)
-        try:
-            if "MUJOCO_GL" in os.environ or any(name in os.environ for name in _DISPLAYS):
-                from mujoco.gl_context import GLContext
-            else:
-                from mujoco.egl import GLContext
-            self._graphics = GLContext(width, height)
-            self._graphics.make_current()
-            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-            self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
-            raise SimulationError(
-                f"images: no OpenGL to render with ({error}); install EGL (on Debian: libegl1 and "
-                "libgl1-mesa-dri) or set MUJOCO_GL"
-            ) from error
+        self._graphics, self._context = offscreen(self._model, width, height)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def shown(self, data: mujoco.MjData, view: mujoco.MjvCamera, kind: str = "rgb") -> Array:
         """One state through one camera, top row first.

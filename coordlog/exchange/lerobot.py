@@ -117,7 +117,7 @@ def write_block(block: Block) -> Json:
         "chunk_index": block.number // FILES_PER_CHUNK,
         "file_index": block.number % FILES_PER_CHUNK,
     }
-    data = _made(block.folder / DATA_PATH.format(**place))
+    data = made(block.folder / DATA_PATH.format(**place))
     frame, kept, rows = block.first_frame, [], []
     journal: Json = {"tasks": {}, "frames": 0, "robot": "", "features": {}, "fps": 0}
     writer: pq.ParquetWriter | None = None
@@ -144,7 +144,7 @@ def write_block(block: Block) -> Json:
             frame += len(loaded.episode)
     if writer is not None:
         writer.close()
-    episodes = _made(block.folder / _EPISODES_PATH.format(**place))
+    episodes = made(block.folder / _EPISODES_PATH.format(**place))
     pq.write_table(_rows_table(rows), episodes, compression="snappy")
     journal["frames"], journal["episodes"] = frame - block.first_frame, len(rows)
     journal["stats"] = {
@@ -155,30 +155,30 @@ def write_block(block: Block) -> Json:
 
 def assemble(folder: Path, journals: Sequence[Json], options: Options) -> None:
     """Write info.json, tasks.parquet and stats.json."""
-    first = journals[0]
-    tasks = merged_tasks(journals)
-    info = {
-        "codebase_version": VERSION,
-        "robot_type": first["robot"],
-        "total_episodes": sum(journal["episodes"] for journal in journals),
-        "total_frames": sum(journal["frames"] for journal in journals),
-        "total_tasks": len(tasks),
-        "chunks_size": FILES_PER_CHUNK,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
-        "fps": first["fps"],
-        "splits": {"train": f"0:{sum(journal['episodes'] for journal in journals)}"},
-        "data_path": DATA_PATH,
-        "video_path": VIDEO_PATH if options.cameras else None,
-        "features": first["features"],
-    }
-    write_json(folder / "meta" / "info.json", info)
-    names = first["stats"]
+    sizes = {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
+    own = {"codebase_version": VERSION, "chunks_size": FILES_PER_CHUNK, **sizes}
+    paths = {"data_path": DATA_PATH, "video_path": VIDEO_PATH if options.cameras else None}
+    write_json(folder / "meta" / "info.json", own | info_of(journals) | paths)
     pooled = {
-        name: statistics.pooled([journal["stats"][name] for journal in journals]) for name in names
+        name: statistics.pooled([journal["stats"][name] for journal in journals])
+        for name in journals[0]["stats"]
     }
     write_json(folder / "meta" / "stats.json", pooled)
-    _write_tasks(folder / "meta" / "tasks.parquet", tasks)
+    _write_tasks(folder / "meta" / "tasks.parquet", merged_tasks(journals))
+
+
+def info_of(journals: Sequence[Json]) -> Json:
+    """What info.json says in every version."""
+    first, episodes = journals[0], sum(journal["episodes"] for journal in journals)
+    return {
+        "robot_type": first["robot"],
+        "total_episodes": episodes,
+        "total_frames": sum(journal["frames"] for journal in journals),
+        "total_tasks": len(merged_tasks(journals)),
+        "fps": first["fps"],
+        "splits": {"train": f"0:{episodes}"},
+        "features": first["features"],
+    }
 
 
 def merged_tasks(journals: Sequence[Json]) -> list[str]:
@@ -189,7 +189,7 @@ def merged_tasks(journals: Sequence[Json]) -> list[str]:
 
 def write_json(path: Path, value: Any) -> None:
     """A JSON file of a set; the folder is made."""
-    _made(path).write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
+    made(path).write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
 
 
 def final_state(loaded: Loaded) -> Iterator[tuple[str, Array | float]]:
@@ -240,7 +240,7 @@ def _rows_table(rows: Sequence[Json]) -> pa.Table:
 
 def _videos(block: Block, place: Json) -> dict[str, Path]:
     return {
-        camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
+        camera: made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
 
@@ -258,7 +258,7 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     }
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": list(tasks)})
     table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-    pq.write_table(table, _made(path), compression="snappy")
+    pq.write_table(table, made(path), compression="snappy")
 
 
 def _pandas_column(name: str, kind: str) -> Json:
@@ -272,6 +272,7 @@ def _pandas_column(name: str, kind: str) -> Json:
     }
 
 
-def _made(path: Path) -> Path:
+def made(path: Path) -> Path:
+    """The path, whose folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

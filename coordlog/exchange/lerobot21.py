@@ -24,6 +24,8 @@ from coordlog.exchange.lerobot import (
     features_of,
     final_state,
     indexes,
+    info_of,
+    made,
     merged_tasks,
     table_of,
     write_json,
@@ -51,7 +53,7 @@ def write_block(block: Block) -> Json:
         index = indexes(loaded, episode=number, frame=frame, task=task)
         place = {"episode_chunk": number // EPISODES_PER_CHUNK, "episode_index": number}
         table = table_of(own | index)
-        data = _made(block.folder / DATA_PATH.format(**place))
+        data = made(block.folder / DATA_PATH.format(**place))
         pq.write_table(table, data, compression="snappy")
         stats = dict(statistics.of_columns(own | index).items()) | _filmed(block, loaded, place)
         line = {"episode_index": number, "tasks": [text], "length": len(loaded.episode)}
@@ -69,7 +71,7 @@ def write_block(block: Block) -> Json:
     journal["frames"] = frame - block.first_frame
     journal["episodes"] = len(block.paths)
     for name, texts in lines.items():
-        part = _made(_part(block.folder, name, block.number))
+        part = made(_part(block.folder, name, block.number))
         part.write_text("".join(f"{text}\n" for text in texts), "utf-8")
     return journal
 
@@ -83,34 +85,26 @@ def assemble(folder: Path, journals: Sequence[Json], options: Options) -> None:
     for journal in journals:
         for name in _LINES:
             _part(folder, name, journal["number"]).unlink()
-    first, tasks = journals[0], merged_tasks(journals)
     lines = [
         json.dumps({"task_index": i, "task": text}, ensure_ascii=False)
-        for i, text in enumerate(tasks)
+        for i, text in enumerate(merged_tasks(journals))
     ]
     (folder / "meta" / "tasks.jsonl").write_text("".join(f"{line}\n" for line in lines), "utf-8")
-    episodes = sum(journal["episodes"] for journal in journals)
-    info = {
+    info = info_of(journals)
+    own = {
         "codebase_version": VERSION,
-        "robot_type": first["robot"],
-        "total_episodes": episodes,
-        "total_frames": sum(journal["frames"] for journal in journals),
-        "total_tasks": len(tasks),
-        "total_videos": episodes * len(options.cameras),
-        "total_chunks": -(-episodes // EPISODES_PER_CHUNK),
+        "total_videos": info["total_episodes"] * len(options.cameras),
+        "total_chunks": -(-info["total_episodes"] // EPISODES_PER_CHUNK),
         "chunks_size": EPISODES_PER_CHUNK,
-        "fps": first["fps"],
-        "splits": {"train": f"0:{episodes}"},
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH if options.cameras else None,
-        "features": first["features"],
     }
-    write_json(folder / "meta" / "info.json", info)
+    write_json(folder / "meta" / "info.json", own | info)
 
 
 def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.Stats]:
     paths = {
-        camera: _made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
+        camera: made(block.folder / VIDEO_PATH.format(video_key=camera_key(camera), **place))
         for camera in block.options.cameras
     }
     with video.Videos(paths, block.options) as videos:
@@ -120,8 +114,3 @@ def _filmed(block: Block, loaded: Loaded, place: Json) -> dict[str, statistics.S
 
 def _part(folder: Path, name: str, number: int) -> Path:
     return folder / "meta" / "parts" / f"{name}-{number:05d}.jsonl"
-
-
-def _made(path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path

@@ -13,11 +13,10 @@ import pyarrow.parquet as pq
 
 from coordlog.episode import Array
 from coordlog.errors import FormatError
+from coordlog.strangers import HEAD, PARQUET, recognise
 
 NAMES = ("name", "names", "joint_names")
 """Columns of lists with the joints' names."""
-
-_POINTER = b"version https://git-lfs"
 
 
 def read_parquet(path: Path) -> pa.Table:
@@ -41,11 +40,11 @@ def read_parquet(path: Path) -> pa.Table:
 
 
 def _require_content(path: Path) -> None:
-    """Hold a file to be more than a pointer of Git LFS to what was not downloaded."""
+    """Hold a file to be no file of another kind, such as a pointer of Git LFS to what it was."""
     with path.open("rb") as stream:
-        pointer = stream.read(len(_POINTER)) == _POINTER
-    if pointer:
-        raise FormatError(f"{path}: a pointer of Git LFS, not the file: `git lfs pull` gets it")
+        head = stream.read(HEAD)
+    if not head.startswith(PARQUET) and (got := recognise(head)):
+        raise FormatError(f"{path}: expected Parquet, got {got}")
 
 
 def read_columns(path: Path, names: Sequence[str]) -> pa.Table:

@@ -14,7 +14,7 @@ import zstandard
 
 from coordlog.episode import MODEL_XML, Episode, Header, Json, Result
 from coordlog.errors import FormatError, StorageError
-from coordlog.record.files import Files, Skipped, find_files, nothing_found, reason_of
+from coordlog.record.files import Files, Skipped, find_files, nothing_found, reason_of, refused
 from coordlog.record.reader import read_summary
 from coordlog.record.recording import Recording
 
@@ -151,8 +151,7 @@ def entries(
     found = paths if isinstance(paths, Files) else find_files(paths)
     left: list[Skipped] = []
     if found.skipped and not skip_broken:
-        path, reason = found.skipped[0]
-        raise FormatError(f"{path}: {reason}; --skip-broken exports the others")
+        raise refused(found.skipped, "--skip-broken exports the others")
     known: list[Entry] = []
     for path in found.paths:
         try:

@@ -14,10 +14,11 @@ NEIGHBOURS = 2
 """Bodies of the robot this many links apart, or fewer, stand close by design: they must not touch,
 but keep no clearance."""
 
+# as numbers: NumPy looks enumerations up one by one
 _EXACT = [
-    getattr(mujoco.mjtGeom, f"mjGEOM_{kind}") for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX")
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX")
 ]
-_GROUND = [mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD]
+_GROUND = [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)]
 
 
 def contact_pairs(

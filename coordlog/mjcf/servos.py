@@ -217,15 +217,14 @@ def require_servos(model: mujoco.MjModel, robot: Robot) -> list[int]:
     Raises:
         ConfigError: naming the first joint that is not there or has none.
     """
-    found = []
-    for name in robot.action_joints:
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    names, kind = robot.action_joints, mujoco.mjtObj.mjOBJ_JOINT
+    joints = [mujoco.mj_name2id(model, kind, name) for name in names]
+    found = servos_of(model, joints)
+    for name, joint, servo in zip(names, joints, found, strict=True):
         if joint < 0:
             raise ConfigError(
                 f"robot '{robot.name}': its spec names a joint '{name}' that its model lacks"
             )
-        servo = servos_of(model, [joint])[0]
         if servo < 0:
             raise ConfigError(f"robot '{robot.name}': {_without(name, [])}")
-        found.append(servo)
     return found

@@ -18,13 +18,8 @@ from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.kinematics.ik import Reach
 from coordlog.policies.avoidance import DamperConfig, farthest, require_positive, turned
+from coordlog.policies.ways import known_ways, postures
 from coordlog.sim.task import BoundTask
-
-VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
-"""Joints of each side that the known via poses bend.
-
-A robot that lacks one goes straight to its goals.
-"""
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,8 @@ class Expert:
         self._step = np.where(
             self._moves, task.speeds * task.config.control_period, 1.0
         )  # (n_u,) rad per step at action 1
-        self._ways = _ways(task)
+        self._ways = known_ways(task)
+        self._seeds = [way[-1] for way in self._ways if way] or postures(reach)
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Plan a way for each slot."""
@@ -244,8 +240,7 @@ class Expert:
 
         The start posture if there is none.
         """
-        seeds = [way[-1] for way in self._ways if way]
-        found = [self._reach.solve(goals, seed=seed, held=held) for seed in seeds] + [
+        found = [self._reach.solve(goals, seed=seed, held=held) for seed in self._seeds] + [
             self._reach.solve(goals, held=held)
         ]
         legal = [end for end in found if end is not None]
@@ -282,36 +277,3 @@ class Expert:
 
     def _clear(self, points: list[Array], clearance: float) -> bool:
         return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
-
-
-def _ways(task: BoundTask) -> list[list[Array]]:
-    """Known ways from arms hanging to hands in front, as lists of via postures.
-
-    None for a robot with other joints.
-    """
-    joints = task.robot.action_joints
-    if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):
-        return [[]]
-
-    def posture(**degrees: float) -> Array:
-        angles = np.zeros(len(joints))
-        for name, value in degrees.items():
-            angles[joints.index(f"l_{name}")] = np.radians(value)
-            angles[joints.index(f"r_{name}")] = np.radians(
-                -value if name in ("shoulder_x", "arm_z") else value
-            )
-        return angles
-
-    home = posture(shoulder_x=20, elbow_y=-90)
-    out = posture(shoulder_x=75, elbow_y=-130)
-    wide = posture(shoulder_x=45, elbow_y=-110)
-    folded = posture(shoulder_x=25, shoulder_y=30, elbow_y=-140)
-    high = posture(shoulder_x=30, shoulder_y=-40, elbow_y=-120)
-    return [
-        [folded, home],
-        [out, home],
-        [folded, high],
-        [out, high],
-        [out, wide],
-        [out, wide, high],
-    ]

@@ -89,6 +89,13 @@ def is_elsewhere(path: File) -> bool:
     return is_url(text) or _MEMBER.search(text) is not None
 
 
+def is_single(path: File) -> bool:
+    """Whether an address names one file, not a folder, a pack, a store or a manifest of many."""
+    if manifest.is_manifest(path):
+        return False
+    return os.fspath(path).endswith(EPISODE) if is_elsewhere(path) else not os.path.isdir(path)
+
+
 def _is_there(path: Path) -> bool:
     return is_elsewhere(path) or path.exists()
 

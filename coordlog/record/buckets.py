@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -12,6 +13,14 @@ from coordlog.errors import ConfigError, StorageError
 from coordlog.record.places import SCHEMES, Entry, MissingError, require_whole, split_url
 
 _TIMEOUTS: dict[str, Any] = {"connect_timeout": "5s", "timeout": "120s"}
+_ENDPOINTS = (
+    "AWS_ENDPOINT_URL_S3",
+    "AWS_ENDPOINT_URL",
+    "AWS_ENDPOINT",
+    "AZURE_ENDPOINT",
+    "AZURE_STORAGE_ENDPOINT",
+    "GOOGLE_BASE_URL",
+)
 _RETRIES: Any = {
     "max_retries": 5,
     "retry_timeout": timedelta(seconds=30),
@@ -42,6 +51,7 @@ class Bucket:
         scheme, rest = split_url(url)
         self.address = f"{scheme}://{rest}".rstrip("/")
         self._variables = SCHEMES[scheme]
+        _require_environment(self._variables[0].partition("_")[0])
         from obstore.exceptions import BaseError
         from obstore.store import from_url
 
@@ -142,8 +152,8 @@ class Bucket:
             raise MissingError(f"{where}: no such object or bucket") from None
         except (BaseError, OSError) as error:
             raise StorageError(
-                f"{where}: cannot {doing}: {_brief(error)}; the store's address and credentials"
-                f" are read from {self._variables}_… in the environment"
+                f"{where}: cannot {doing}: {_brief(error)}; where the store is and who asks is"
+                f" read from the environment: {', '.join(self._variables)}"
             ) from None
 
 
@@ -153,12 +163,48 @@ def _entry(meta: Any) -> Entry:
 
 def _options() -> Any:
     """Timeouts; without TLS only where the environment names an endpoint without it."""
-    names = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
-    plain = any(os.environ.get(name, "").startswith("http://") for name in names)
+    plain = any(os.environ.get(name, "").startswith("http://") for name in _ENDPOINTS)
     return {**_TIMEOUTS, "allow_http": plain}
 
 
+def _require_environment(beginning: str) -> None:
+    """Refuse values of variables that the library would end the process for.
+
+    Raises:
+        ConfigError: naming the variable; its value may be a secret.
+    """
+    for name, value in os.environ.items():
+        if name.startswith(f"{beginning}_") and not value.isprintable():
+            raise ConfigError(f"{name}: expected one line of text, got control characters")
+        if name in _ENDPOINTS and value and not re.match(r"https?://[^/\s]+", value):
+            raise ConfigError(f"{name}: expected an address like https://HOST:PORT, got {value}")
+
+
 def _brief(error: BaseException) -> str:
-    """The first line of what a store said, without its inner workings."""
-    text = " ".join(str(error).split("\n\nDebug source")[0].split())
-    return text if len(text) <= 300 else f"{text[:300]} …"
+    """What a store said, or why it said nothing, without the library's inner workings."""
+    said, _, inside = str(error).partition("\n\nDebug source")
+    text = " ".join(said.split())
+    if "169.254.169.254" in text:  # where a machine of a cloud asks who it is
+        return "no keys are set, and this machine has no role of its own"
+    found = _FAILED.search(text)
+    if found is None:
+        return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
+    host, retries, what = found.groups()
+    status, body = _STATUS.search(what), _BODY.search(what)
+    if status:
+        text = f"{host} answers {status[1]}" + (f", {body[1]}: {body[2]}" if body else "")
+    else:
+        text = f"{host}: {next((why for sign, why in _REASONS if sign in inside), what)}"
+    return text + (f" (asked {int(retries) + 1} times)" if retries else "")
+
+
+_LONGEST = 300
+_FAILED = re.compile(r"Error performing \w+ (\w+://[^/\s]+)\S* in \S+(?:, after (\d+) .*?)? - (.*)")
+_STATUS = re.compile(r"status code: (\d+ [A-Z][A-Za-z -]*[a-z])")
+_BODY = re.compile(r"<Code>([^<]*)</Code>\s*<Message>([^<]{0,200})")
+_REASONS = (
+    ("Connection refused", "nobody listens there"),
+    ("dns error", "there is no machine of that name"),
+    ("InvalidContentType", "it does not speak TLS; is it http:// instead of https://?"),
+    ("TimedOut", "no answer in time"),
+)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
@@ -42,22 +43,63 @@ class Topic(NamedTuple):
     channel: bytes
 
 
-class Container:
-    """Appends records to a buffer that the owner drains to disk.
+@dataclass
+class Books:
+    """What a data section holds, as far as its summary says so."""
 
-    Remembers what the summary must say.
-    """
+    schemas: dict[bytes, None] = field(default_factory=dict)
+    channels: dict[bytes, None] = field(default_factory=dict)
+    """Packed records like the schemas: in order, each once."""
+    counts: dict[int, int] = field(default_factory=dict)
+    """Messages of each channel."""
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+
+    def summary(self, start: int) -> tuple[bytes, bytes]:
+        """The records of the summary that starts at a byte of the file, and the offsets that
+        follow.
+        """
+        groups = {
+            Opcode.SCHEMA: b"".join(self.schemas),
+            Opcode.CHANNEL: b"".join(self.channels),
+            Opcode.STATISTICS: pack(self._statistics()),
+            Opcode.CHUNK_INDEX: b"".join(map(pack, self.chunks)),
+            Opcode.ATTACHMENT_INDEX: b"".join(map(pack, self.attachments)),
+            Opcode.METADATA_INDEX: b"".join(map(pack, self.metadata)),
+        }
+        summary, offsets = b"", b""
+        for opcode, group in groups.items():
+            if group:  # an offset to an empty group is an error to strict readers
+                at = start + len(summary)
+                offsets += pack(
+                    SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group))
+                )
+            summary += group
+        return summary, offsets
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self.counts),
+            chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()),
+            message_start_time=min((chunk.message_start_time for chunk in self.chunks), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in self.chunks), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+
+class Container:
+    """Appends records to a buffer that the owner drains to disk, and keeps the summary's books."""
 
     def __init__(self, library: str) -> None:
         self._pending: list[bytes] = []
         self._position = 0
         self._crc = 0
-        self._schemas: dict[bytes, None] = {}  # in order, each once
-        self._channels: dict[bytes, None] = {}
-        self._counts: dict[int, int] = {}
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self.books = Books()
         self._append(MAGIC)
         self._append(pack(Header(profile=PROFILE, library=library)))
 
@@ -69,7 +111,9 @@ class Container:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record."""
         data = pack_metadata(name, values)
-        self._metadata.append(MetadataIndex(offset=self._position, length=len(data), name=name))
+        self.books.metadata.append(
+            MetadataIndex(offset=self._position, length=len(data), name=name)
+        )
         self._append(data)
 
     def add_attachment(self, name: str, content: bytes, *, media_type: str, log_time: int) -> None:
@@ -79,7 +123,7 @@ class Container:
                 create_time=0, log_time=log_time, name=name, media_type=media_type, data=content
             )
         )
-        self._attachments.append(
+        self.books.attachments.append(
             AttachmentIndex(
                 offset=self._position,
                 length=len(data),
@@ -97,15 +141,15 @@ class Container:
 
         Empty if they already do.
         """
-        schema = b"" if topic.schema in self._schemas else topic.schema
-        channel = b"" if topic.channel in self._channels else topic.channel
-        self._schemas[topic.schema] = self._channels[topic.channel] = None
+        schema = b"" if topic.schema in self.books.schemas else topic.schema
+        channel = b"" if topic.channel in self.books.channels else topic.channel
+        self.books.schemas[topic.schema] = self.books.channels[topic.channel] = None
         return schema + channel
 
     def add_chunk(self, chunk: Chunk) -> None:
         """Append a chunk and its message indexes."""
         index_start = self._position + len(chunk.record)
-        self._chunks.append(
+        self.books.chunks.append(
             ChunkIndex(
                 chunk_length=len(chunk.record),
                 chunk_start_offset=self._position,
@@ -121,7 +165,7 @@ class Container:
             )
         )
         for channel, count in chunk.counts.items():
-            self._counts[channel] = self._counts.get(channel, 0) + count
+            self.books.counts[channel] = self.books.counts.get(channel, 0) + count
         self._append(chunk.record)
         self._append(chunk.message_index)
 
@@ -134,7 +178,7 @@ class Container:
                 that of the summary.
         """
         before, size = self._crc, len(pack_metadata(name, marker(0, 0)))
-        self._metadata.append(MetadataIndex(offset=self._position, length=size, name=name))
+        self.books.metadata.append(MetadataIndex(offset=self._position, length=size, name=name))
         summary, crc = self._summary(self._position + size + DATA_END.size)
         self._append(pack_metadata(name, marker(before, crc)))
         self._end(summary, crc)
@@ -149,55 +193,14 @@ class Container:
 
     def _summary(self, start: int) -> tuple[bytes, int]:
         """The summary that starts at a byte of the file, up to its CRC, and that."""
-        summary, offsets = summary_of(self._summary_groups(), start)
+        summary, offsets = self.books.summary(start)
         footer = FOOTER.pack(
             Opcode.FOOTER, FOOTER.size - RECORD_HEAD.size, start, start + len(summary), 0
         )[:-4]
         whole = summary + offsets + footer
         return whole, zlib.crc32(whole)
 
-    def _summary_groups(self) -> dict[int, bytes]:
-        return {
-            Opcode.SCHEMA: b"".join(self._schemas),
-            Opcode.CHANNEL: b"".join(self._channels),
-            Opcode.STATISTICS: pack(self._statistics()),
-            Opcode.CHUNK_INDEX: b"".join(map(pack, self._chunks)),
-            Opcode.ATTACHMENT_INDEX: b"".join(map(pack, self._attachments)),
-            Opcode.METADATA_INDEX: b"".join(map(pack, self._metadata)),
-        }
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
-
     def _append(self, data: bytes) -> None:
         self._pending.append(data)
         self._position += len(data)
         self._crc = zlib.crc32(data, self._crc)
-
-
-def summary_of(groups: Mapping[int, bytes], start: int) -> tuple[bytes, bytes]:
-    """The records of a summary that starts at a byte of the file, and the offsets that follow.
-
-    Args:
-        groups: Packed records by opcode, in order.
-        start: Where the summary starts.
-    """
-    summary, offsets = b"", b""
-    for opcode, group in groups.items():
-        if group:  # an offset to an empty group is an error to strict readers
-            at = start + len(summary)
-            offsets += pack(
-                SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group))
-            )
-        summary += group
-    return summary, offsets

@@ -31,8 +31,7 @@ from coordlog.record.files import find_files as find_files
 from coordlog.record.files import nothing_found as nothing_found
 from coordlog.record.opening import File, load, naming
 from coordlog.record.reader import probe, read_episode
-from coordlog.record.recording import Recording
-from coordlog.spec import STEP_INDEX, before
+from coordlog.spec import STEP_INDEX
 
 _T = TypeVar("_T")
 
@@ -105,21 +104,21 @@ class Dataset(Sequence[Episode]):
             SpecError: if the episodes are of different robots or tasks.
             FormatError: if a file is damaged, and they are not to be skipped.
         """
-        return self._table(_step_batch)
-
-    def finals(self) -> pa.Table:
-        """One row per episode: its final state and its result.
-
-        Raises:
-            SpecError: if the episodes are of different robots or tasks.
-            FormatError: if a file is damaged, and they are not to be skipped.
-        """
-        return self._table(_final_batch)
-
-    def recordings(self) -> Iterator[Recording]:
-        """Each episode as a recording, which reads its file when something is asked of it."""
-        for path in self.paths:
-            yield Recording(path)
+        batches: list[pa.RecordBatch] = []
+        first: _Loaded | None = None
+        for start in range(0, len(self.paths), _GROUP):
+            tried = [
+                self.attempt(path, partial(_Loaded, index))
+                for index, path in enumerate(self.paths[start : start + _GROUP], start)
+            ]
+            group = [loaded for loaded in tried if loaded is not None]
+            for loaded in group:
+                first = first or loaded
+                first.require_same(loaded)
+            batches += self.converted(group, _step_batch) if group else []
+        if not batches:
+            raise SpecError("no episodes: there are no columns to make a table of")
+        return pa.Table.from_batches(batches)
 
     def attempt(self, path: Path, read: Callable[[Path], _T]) -> _T | None:
         """What `read` made of a file.
@@ -136,26 +135,8 @@ class Dataset(Sequence[Episode]):
                 self.skipped.append(Skipped(path, str(error).removeprefix(f"{path}: ")))
             return None
 
-    def _table(self, convert: Callable[[list[_Loaded]], pa.RecordBatch]) -> pa.Table:
-        batches: list[pa.RecordBatch] = []
-        first: _Loaded | None = None
-        for start in range(0, len(self.paths), _GROUP):
-            tried = [
-                self.attempt(path, partial(_Loaded, index))
-                for index, path in enumerate(self.paths[start : start + _GROUP], start)
-            ]
-            group = [loaded for loaded in tried if loaded is not None]
-            for loaded in group:
-                first = first or loaded
-                first.require_same(loaded)
-            batches += self._converted(group, convert) if group else []
-        if not batches:
-            raise SpecError("no episodes: there are no columns to make a table of")
-        return pa.Table.from_batches(batches)
-
-    def _converted(
-        self, group: list[_Loaded], convert: Callable[[list[_Loaded]], pa.RecordBatch]
-    ) -> list[pa.RecordBatch]:
+    def converted(self, group: list[_Loaded], convert: Callable[[list[_Loaded]], _T]) -> list[_T]:
+        """What some files become together, or one by one if one of them turns out to be broken."""
         try:
             return [convert(group)]
         except FormatError:  # some file of the group: one at a time tells which
@@ -163,7 +144,7 @@ class Dataset(Sequence[Episode]):
                 self.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
                 for loaded in group
             ]
-            return [batch for batch in tried if batch is not None]
+            return [made for made in tried if made is not None]
 
 
 class _Loaded:
@@ -211,36 +192,13 @@ def _step_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.Reco
     )
 
 
-def _final_batch(group: list[_Loaded], columns: Columns | None = None) -> pa.RecordBatch:
-    _, final, lengths = columns or _decoded(group)
-    fields = [
-        EPISODE_INDEX,
-        *(arrow_field(i, group[0].layout) for i in before(group[0].fields) if i.name in final),
-    ]
-    batch = record_batch(
-        fields, {"episode": np.array([loaded.index for loaded in group], np.int32), **final}
-    )
-    rest = {
-        "file": [str(loaded.path) for loaded in group],
-        "length": lengths,
-        "returns": pa.array(
-            [loaded.result.returns for loaded in group], pa.list_(pa.float64(), group[0].layout.k)
-        ),
-    }
-    for name in ("success", "clean", "terminated", "truncated", "aborted", "digest"):
-        rest[name] = [getattr(loaded.result, name) for loaded in group]
-    for name, values in rest.items():
-        batch = batch.append_column(name, pa.array(values))
-    return batch
-
-
 class Decoded(NamedTuple):
     """Episodes of one kind (robot and task), decoded in one go."""
 
     steps: pa.Table
     """as `Dataset.to_table`"""
     finals: pa.Table
-    """as `Dataset.finals`"""
+    """One row per episode: the "state" after its last action, and its "length"."""
     headers: tuple[Header, ...]
     digests: tuple[str, ...]
     """sha256 of the files"""
@@ -275,7 +233,7 @@ def decoded(
                 alike.setdefault(loaded.kind, []).append(loaded)
                 seen.add(loaded.sha256)
         for kind, group in alike.items():
-            kinds.setdefault(kind, []).extend(_both(dataset, group))
+            kinds.setdefault(kind, []).extend(dataset.converted(group, _both))
     skipped += dataset.skipped
     for item in dataset.skipped:
         digests.pop(item.path, None)
@@ -297,18 +255,11 @@ class _Both(NamedTuple):
     finals: pa.RecordBatch
 
 
-def _both(dataset: Dataset, group: list[_Loaded]) -> list[_Both]:
-    """Both batches of a group; if a file of it is broken, file by file."""
-
-    def convert(some: list[_Loaded]) -> _Both:
-        columns = _decoded(some)
-        return _Both(some, _step_batch(some, columns), _final_batch(some, columns))
-
-    try:
-        return [convert(group)]
-    except FormatError:
-        tried = [
-            dataset.attempt(loaded.path, lambda _, loaded=loaded: convert([loaded]))  # type: ignore[misc]
-            for loaded in group
-        ]
-        return [both for both in tried if both is not None]
+def _both(group: list[_Loaded]) -> _Both:
+    columns = _decoded(group)
+    _, final, lengths = columns
+    field = arrow_field(next(i for i in group[0].fields if i.name == "state"), group[0].layout)
+    finals = record_batch([field], {"state": final["state"]})
+    return _Both(
+        group, _step_batch(group, columns), finals.append_column("length", pa.array(lengths))
+    )

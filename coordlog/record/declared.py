@@ -1,4 +1,5 @@
-"""What each metadata record of a file must hold: every key, its type and its bounds, in one place.
+"""What each metadata record of a file, and the head of a manifest, must hold: every key, its type
+and its bounds, in one place.
 
 A record is believed by nobody before it was held to these tables. Keys that are not listed are
 kept and not looked at.
@@ -168,6 +169,20 @@ COMMIT: dict[str, Rule] = {
     "seal": TEXT,
 }
 """What the result holds besides since version 2: what it vouches for."""
+_NAME = Rule("text without NUL", lambda value: _is_text(value) and "\0" not in value)
+_COUNT = Rule("a whole number from 0", _is_whole(0, 1 << 53))
+MANIFEST: dict[str, Rule] = {
+    "name": _NAME,
+    "version": _COUNT,
+    "hash": _NAME,
+    "parent": _NAME,
+    "episodes": _COUNT,
+    "about": Rule(
+        "an object whose 'sources' are a list of texts without NUL",
+        lambda value: isinstance(value, dict) and _is_list(_NAME.holds)(value.get("sources", [])),
+    ),
+}
+"""The first line of a manifest."""
 
 
 def require(values: Json, rules: Mapping[str, Rule], where: str) -> None:
@@ -180,9 +195,7 @@ def require(values: Json, rules: Mapping[str, Rule], where: str) -> None:
     if broken is not None:
         got = repr(values[broken]) if broken in values else "nothing"
         said = got if len(got) <= 80 else got[:77] + "..."
-        raise FormatError(
-            f"metadata {where}: '{broken}': expected {rules[broken].says}, got {said}"
-        )
+        raise FormatError(f"{where}: '{broken}': expected {rules[broken].says}, got {said}")
 
 
 def _broken(values: Json, rules: Mapping[str, Rule], *, complete: bool = True) -> str | None:

@@ -10,7 +10,7 @@ import errno
 import os
 import stat
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from coordlog.episode import Header
 
 SUFFIX = ".mcap"
+CATALOG = ".catalog"
+"""The folder beside logs in which their catalogue is kept; no episodes are looked for there."""
 
 File = str | os.PathLike[str]
 
@@ -149,13 +151,22 @@ def reason_of(path: Path, error: CoordlogError) -> str:
     return str(error).removeprefix(f"{path}: ")
 
 
+def refused(skipped: Sequence[Skipped], advice: str) -> FormatError:
+    """The error for files that could not be used where that was not allowed."""
+    first, more = skipped[0], len(skipped) - 1
+    text = f"{first.path}: {first.reason}"
+    return FormatError(f"{text}{f'; and {more} more' if more else ''}; {advice}")
+
+
 def _status(path: Path) -> os.stat_result:
     try:
         return path.stat()
     except FileNotFoundError:
         if path.is_symlink():
             raise StorageError(f"{path}: cannot read: a link to nothing") from None
-        raise StorageError(f"{path}: no such file or folder: No such file or directory") from None
+        hint = "; addresses of stores begin with s3://, gs:// or az://" if ":" in str(path) else ""
+        said = f"{path}: no such file or folder: No such file or directory{hint}"
+        raise StorageError(said) from None
     except OSError as error:
         raise StorageError(f"{path}: cannot read: {error.strerror}") from None
 
@@ -277,6 +288,8 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path]]:
     linked: list[Path] = []
     with os.scandir(folder) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name):
+            if entry.name == CATALOG:
+                continue
             if entry.is_symlink():
                 linked.append(folder / entry.name)
             elif _of_interest(entry.name) or entry.is_dir(follow_symlinks=False):

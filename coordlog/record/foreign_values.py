@@ -186,15 +186,13 @@ def header_of(subject: Subject, first: Mapping[str, Array], about: Json) -> Head
     if len(heads) != widths["reward"]:
         heads = [f"reward_{i}" for i in range(widths["reward"])]
     period = int(row[SUBSTEPS]) * float(model.opt.timestep) or float(model.opt.timestep)
-    fields = [_field(SUBSTEPS, "int32", "", "physics steps that the step made", "after")]
+    fields = [_field(SUBSTEPS, "int32", "", "after")]
     if "observation" in row:
-        fields.insert(
-            0, _field("observation", "float64", str(row["observation"].size), "", "before")
-        )
+        fields.insert(0, _field("observation", "float64", str(row["observation"].size), "before"))
     for name, value in row.items():
         if name.startswith("info_"):
             kind = {"f": "float64", "b": "bool", "i": "int64"}[value.dtype.kind]
-            fields.append(_field(name, kind, str(value.size) if value.ndim else "", "", "after"))
+            fields.append(_field(name, kind, str(value.size) if value.ndim else "", "after"))
     env = {
         "coordlog_version": __version__,
         "mujoco_version": mujoco.__version__,
@@ -241,11 +239,5 @@ def _range(about: Json, n_u: int) -> Json:
     return {"action_low": list(low), "action_high": list(high)}
 
 
-def _field(name: str, kind: str, size: str, unit: str, when: str) -> Json:
-    return {
-        "name": name,
-        "type": kind,
-        "size": size,
-        "unit": unit if len(unit) < 8 else "",
-        "when": when,
-    }
+def _field(name: str, kind: str, size: str, when: str) -> Json:
+    return {"name": name, "type": kind, "size": size, "unit": "", "when": when}

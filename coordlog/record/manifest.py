@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from coordlog.errors import FormatError, SpecError, StorageError, unknown
+from coordlog.record.declared import MANIFEST, require
 from coordlog.record.places import Folder, is_url
 from coordlog.record.storage import translated
 from coordlog.strangers import recognise
@@ -27,7 +28,7 @@ SUFFIX = ".manifest"
 EDITION = 1
 
 _RULE = "---"
-_MOST, _DIGITS = 1 << 53, 20  # more than a head can count, and digits of a size or a time
+_DIGITS = 20  # of a size or a time
 
 
 class Chosen(NamedTuple):
@@ -148,7 +149,8 @@ def decode(data: bytes) -> Manifest:
     if edition != EDITION:
         raise FormatError(f"manifest of edition {edition}; this release reads edition {EDITION}")
     try:
-        if rule != _RULE or not data.endswith(b"\n") or not _is_sound(head):
+        require(head, MANIFEST, "head of the manifest")
+        if rule != _RULE or not data.endswith(b"\n"):
             raise ValueError
         manifest = Manifest(
             name=head["name"],
@@ -165,18 +167,6 @@ def decode(data: bytes) -> Manifest:
             f" {len(lines)} with {manifest.hash[:12]}: the manifest was changed by hand or cut off"
         )
     return manifest
-
-
-def _is_sound(head: dict[str, Any]) -> bool:
-    """Whether every value of a manifest's head is of its type."""
-    texts = [head[name] for name in ("name", "parent", "hash")]
-    counts = [head[name] for name in ("version", "episodes")]
-    about = head["about"]
-    if not isinstance(about, dict) or not isinstance(about.get("sources", []), list):
-        return False
-    texts += about.get("sources", [])
-    numbered = all(type(count) is int and 0 <= count < _MOST for count in counts)
-    return numbered and all(isinstance(text, str) and "\0" not in text for text in texts)
 
 
 def _chosen(line: str) -> Chosen:

@@ -118,9 +118,9 @@ def _require_declared(name: str, items: tuple[tuple[str, str], ...]) -> None:
     """Most records are the same for all episodes of a run: judge them once."""
     table = _TABLES[name]
     values = decode({key: text for key, text in items if key in table})
-    declared.require(values, table, name)
+    declared.require(values, table, f"metadata {name}")
     if name == ENV:
-        declared.require(values["layout"], declared.LAYOUT, f"{ENV} layout")
+        declared.require(values["layout"], declared.LAYOUT, f"metadata {ENV} layout")
         _require_env(values)
 
 
@@ -203,7 +203,7 @@ def decode_result(strings: Strings) -> Result:
         FormatError: if a key is missing or holds a value of another type.
     """
     values = decode({key: strings[key] for key in declared.RESULT if key in strings})
-    declared.require(values, declared.RESULT, RESULT)
+    declared.require(values, declared.RESULT, f"metadata {RESULT}")
     values["returns"] = tuple(values["returns"])
     return Result(**{item.name: values[item.name] for item in fields(Result)})
 
@@ -271,7 +271,7 @@ def vouched(records: Mapping[str, Strings]) -> Json:
         return {}
     strings = dict(records[RESULT])
     values = decode(strings)
-    declared.require(values, declared.COMMIT, RESULT)
+    declared.require(values, declared.COMMIT, f"metadata {RESULT}")
     if strings.pop("seal") != digest(strings):
         raise FormatError(f"metadata {RESULT}: the record is damaged: its seal is another")
     for name in HEADER_RECORDS:

@@ -15,8 +15,12 @@ from typing import Any, NamedTuple, Protocol
 from coordlog.errors import ConfigError, StorageError
 from coordlog.record.storage import PartFile, discard_dead, translated
 
-SCHEMES = {"s3": "AWS", "gs": "GOOGLE", "az": "AZURE"}
-"""Object stores, and how the environment variables begin that their credentials are read from."""
+SCHEMES = {
+    "s3": ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_REGION", "AWS_ENDPOINT_URL"),
+    "gs": ("GOOGLE_APPLICATION_CREDENTIALS", "GOOGLE_SERVICE_ACCOUNT_KEY"),
+    "az": ("AZURE_STORAGE_ACCOUNT_NAME", "AZURE_STORAGE_ACCOUNT_KEY"),
+}
+"""Object stores, and the environment variables that say where they are and who asks."""
 
 _URL = re.compile(r"^(?P<scheme>s3|gs|az):/+(?P<rest>.*)$")
 

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,7 +155,8 @@ class EpisodeWriter:
         _validate_contacts(contacts, first_step, first_step + n)
         if inputs is not None:
             _validate_inputs(inputs, first_step, first_step + n)
-        self._write(self._encoder.steps(first_step, columns, contacts, inputs))
+        self._add(self._encoder.steps(first_step, columns, contacts, inputs))
+        self._flush()
         self._tally.add(columns)
 
     def finish(self, final: Columns, *, aborted: str = "", path: Path | None = None) -> Result:
@@ -231,17 +231,8 @@ class EpisodeWriter:
     def __enter__(self) -> EpisodeWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _write(self, batches: dict[str, Batch]) -> None:
-        self._add(batches)
-        self._flush()
 
     def _add(self, batches: dict[str, Batch]) -> None:
         for topic, batch in batches.items():

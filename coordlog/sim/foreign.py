@@ -9,7 +9,7 @@ so; and where neither explains a step, that step is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -242,9 +242,11 @@ class Shadow:
         if at and (at[-1][self.parts.carried] != now[self.parts.carried]).any():
             start = at[-1]
         best: tuple[float, Followed] = (0.0, Followed(0, []))
-        ways = [self._constant(end)]
+        # what stands there after it was there during all of it; or what was seen before each call
+        ways: list[Callable[[Array], Array]] = [lambda own: end]
         if any((row[given] != end[given]).any() for row in seen):
-            ways.append(self._each(seen))
+            by_time = {float(row[0]): row for row in seen}
+            ways.append(lambda own: by_time.get(float(own[0]), own))
         for way in ways:
             found = self._try(start, way, end, moved=start is not now)
             reached = self.row
@@ -289,31 +291,14 @@ class Shadow:
         last = Change(found.substeps, end)
         return Followed(found.substeps, [*changes, last], outside=True)
 
-    @staticmethod
-    def _constant(end: Array) -> Callable[[Array], Array]:
-        """What stands there after the step was there during all of it."""
-        return lambda own: end
-
-    @staticmethod
-    def _each(seen: list[Array]) -> Callable[[Array], Array]:
-        """What was seen before each call, until the next."""
-        rows = {float(row[0]): row for row in seen}
-        return lambda own: rows.get(float(own[0]), own)
-
 
 def changes_by_step(inputs: Mapping[str, Array]) -> dict[int, dict[int, Array]]:
     """The states of an episode's inputs by step and substep."""
     found: dict[int, dict[int, Array]] = {}
-    for step, substep, row in _rows(inputs):
-        found.setdefault(step, {})[substep] = row
+    columns = (inputs[name] for name in ("step", "substep", "state")) if inputs else ((), (), ())
+    for step, substep, row in zip(*columns, strict=True):
+        found.setdefault(int(step), {})[int(substep)] = row
     return found
-
-
-def _rows(inputs: Mapping[str, Array]) -> Iterator[tuple[int, int, Array]]:
-    if inputs:
-        yield from zip(
-            inputs["step"].tolist(), inputs["substep"].tolist(), inputs["state"], strict=True
-        )
 
 
 def retrace(

@@ -166,7 +166,7 @@ class Painter:
         self._data = mujoco.MjData(self._model)
         self._scene = mujoco.MjvScene(self._model, maxgeom=2000)
         self._camera = _camera(view)
-        self._context, self._canvas = _open(self._model, self._width, self._height)
+        self._context, self._canvas = offscreen(self._model, self._width, self._height)
 
     def paint(self, qpos: Array, mocap_pos: Array, *, sizes: Array | None = None) -> Array:
         """One state as RGB (height, width, 3) uint8.
@@ -349,10 +349,14 @@ def _crosses(start: Array, end: Array, centre: Array, half: Array) -> bool:
     return bool(max(enter, 0.0) <= min(leave, 1.0))
 
 
-def _open(
+def offscreen(
     model: mujoco.MjModel, width: int, height: int
 ) -> tuple[mujoco.GLContext, mujoco.MjrContext]:
-    """A graphics context: MUJOCO_GL's choice, or EGL where there is no display."""
+    """A graphics context to render in: MUJOCO_GL's choice, or EGL where there is no display.
+
+    Raises:
+        SimulationError: if there is none to be had.
+    """
     try:
         if "MUJOCO_GL" in os.environ or any(name in os.environ for name in _DISPLAYS):
             from mujoco.gl_context import GLContext
@@ -360,7 +364,7 @@ def _open(
             from mujoco.egl import GLContext
         context = GLContext(width, height)
         context.make_current()
-        canvas = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        canvas = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, canvas)
     except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
         raise SimulationError(

@@ -119,6 +119,7 @@ def plan(
         SpecError: if there is no episode.
         FormatError: if the only file is none.
     """
+    from coordlog.record.addresses import is_single, name_within
     from coordlog.record.files import Files, find_files, nothing_found
     from coordlog.record.reader import probe
     from coordlog.smooth.config import Config
@@ -138,9 +139,7 @@ def plan(
             files.others + found.others,
         )
         for source in found.paths:
-            below = source.relative_to(path) if path.is_dir() else Path(source.name)
-            inside = folders > 1 and path.is_dir()
-            target = out / (Path(path.resolve().name) / below if inside else below)
+            target = out / name_within(source, path, several=folders > 1)
             if target in work and work[target].source.resolve() != source.resolve():
                 raise ConfigError(
                     f"{source} and {work[target].source} would both become {target}; "
@@ -149,7 +148,7 @@ def plan(
             work[target] = Job(source, target, settings, write, force)
     if not work:
         raise nothing_found(paths, files)
-    if len(paths) == 1 and paths[0].is_file():
+    if len(paths) == 1 and is_single(paths[0]):
         probe(paths[0])
     return Batch(list(work.values()), files)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,18 +39,11 @@ def read_card(path: Path) -> Scene:
     if not isinstance(panels, list):
         raise ConfigError(f"{path}: expected a list of tables as scene.panels, got {panels!r}")
     said = build(SceneCard, around, prefix="scene.", what="key in a robot's card")
-    return Scene(
-        name=said.name or robot.name,
-        doc=said.doc or f"Goals that {robot.name} can reach",
-        robot=robot,
-        panels=tuple(
-            build(Panel, panel, prefix=f"scene.panels[{i}].", what="key in a robot's card")
-            for i, panel in enumerate(panels)
-        ),
-        object_half=said.object_half,
-        object_box=said.object_box,
-        palm_offset=said.palm_offset,
-        spheres=said.spheres,
-        sphere_radius=said.sphere_radius,
-        sphere_box=said.sphere_box,
+    told = asdict(said)
+    told["name"] = said.name or robot.name
+    told["doc"] = said.doc or f"Goals that {robot.name} can reach"
+    told["panels"] = tuple(
+        build(Panel, panel, prefix=f"scene.panels[{i}].", what="key in a robot's card")
+        for i, panel in enumerate(panels)
     )
+    return Scene(robot=robot, **told)

@@ -16,6 +16,8 @@ MIDDLE = 0.35
 """Goals that are a random posture's palms: the share of every joint's range, around its middle,
 that the posture is drawn from. Over the whole range most postures are only reached by way of
 others."""
+DRAWS = 100
+"""Postures that are drawn for one that touches nothing."""
 
 
 def parts(reading: Reading, view: View) -> dict[str, Array]:
@@ -67,7 +69,15 @@ def inside(rng: np.random.Generator, box: Box3) -> Array:
     return np.asarray(rng.uniform(low, high))
 
 
-def anywhere(rng: np.random.Generator, kinematics: Kinematics) -> Array:
-    """Where a random posture puts the palms, (k, 3) [m]: reachable as drawn."""
+def anywhere(rng: np.random.Generator, kinematics: Kinematics) -> Array | None:
+    """Where a random posture that is balanced and touches nothing puts the palms, (k, 3) [m]:
+    reachable as drawn.
+
+    None if there is no such posture among many.
+    """
     middle, half = kinematics.limits.mean(axis=1), np.ptp(kinematics.limits, axis=1) / 2
-    return kinematics.palms(rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half))
+    for _ in range(DRAWS):
+        angles = rng.uniform(middle - MIDDLE * half, middle + MIDDLE * half)
+        if kinematics.legal(angles):
+            return kinematics.palms(angles)
+    return None

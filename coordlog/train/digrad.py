@@ -18,9 +18,9 @@ from torch import Tensor
 from coordlog.episode import Array
 from coordlog.errors import SpecError
 from coordlog.policies.checkpoint import under
-from coordlog.train.config import LearnerConfig, NetworkConfig
 from coordlog.train.gradients import head_weights, project_conflicts
 from coordlog.train.networks import Actor, Critic
+from coordlog.train.settings import Settings
 
 NETWORKS = ("actor", "critic", "target_actor", "target_critic")
 OPTIMISERS = ("actor_optimiser", "critic_optimiser")
@@ -75,12 +75,9 @@ class Learner:
         self,
         n_x: int,
         mask: Array,
+        settings: Settings,
         *,
-        network: NetworkConfig,
-        config: LearnerConfig,
         bounds: tuple[float, float],
-        seed: int,
-        average: float = 0.0,
         device: str = "cpu",
     ) -> None:
         """Initialise networks from the seed, and targets as their copies.
@@ -88,18 +85,18 @@ class Learner:
         Args:
             n_x: Width of the state.
             mask: Which task moves which action, shape (k, n_u); see `gradients.gradient_mask`.
-            network: Shape of the networks.
-            config: Constants of the update.
+            settings: Of them `network` shapes the networks and `learner` has the update's
+                constants; `loop.seed` is that of the weights and of everything random in an
+                update, and `loop.average` the share of the updates so far that `average_actor` is
+                an average over, 0 for the actor itself.
             bounds: Least and greatest return any policy can have, unscaled; see
                 `relabel.value_bounds`.
-            seed: Seed of the weights and of everything random in an update.
-            average: Share of the updates so far that `average_actor` is an average over; 0 for the
-                actor itself.
             device: Where the networks live.
         """
         k, n_u = mask.shape
+        network, config, average = settings.network, settings.learner, settings.loop.average
         self.config, self.k, self.device, self.updates = config, k, torch.device(device), 0
-        birth = torch.Generator().manual_seed(seed)
+        birth = torch.Generator().manual_seed(settings.loop.seed)
         self.actor = Actor(n_x, n_u, config=network, generator=birth).to(self.device)
         self.critic = Critic(n_x, n_u, k, config=network, generator=birth).to(self.device)
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
@@ -110,7 +107,7 @@ class Learner:
         self.critic_optimiser = torch.optim.Adam(
             _decayed(self.critic, config.weight_decay), lr=config.critic_rate, fused=True
         )
-        self.generator = torch.Generator(self.device).manual_seed(seed)
+        self.generator = torch.Generator(self.device).manual_seed(settings.loop.seed)
 
         online = torch.nn.ModuleList([self.actor, self.critic])
         targets = torch.nn.ModuleList([self.target_actor, self.target_critic])

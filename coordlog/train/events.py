@@ -6,7 +6,6 @@ Needs the package tensorboard, which nothing else here does.
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from coordlog.errors import ConfigError, StorageError
@@ -69,12 +68,7 @@ class EventFiles:
     def __enter__(self) -> EventFiles:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._writer is not None:
             self._writer.close()
 

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from coordlog.episode import Array, Json
+from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError, SpecError, StorageError
 from coordlog.policies.checkpoint import (
     generator_from_json,
@@ -58,7 +58,6 @@ class Trainer:
         logs: Columns | Stream | None = None,
         source: LiveSource | None = None,
         hooks: Hooks | None = None,
-        about: Json | None = None,
         device: str = "cpu",
     ) -> None:
         """Put the parts of a run together; nothing is written yet.
@@ -69,8 +68,7 @@ class Trainer:
             folder: Where the run's files go.
             logs: Logged transitions, if any; or a stream of them.
             source: Live simulations, if any.
-            hooks: Evaluation, progress and stop.
-            about: JSON-able words that every policy file of the run carries.
+            hooks: Evaluation, progress and stop, and what policies say of the run.
             device: Where the networks live.
 
         Raises:
@@ -79,7 +77,7 @@ class Trainer:
             SpecError: if logs and task differ in layout.
         """
         self.task, self.settings, self.folder, self.source = task, settings, folder, source
-        self.hooks, self.about, self._device = hooks or Hooks(), about or {}, device
+        self.hooks, self._device = hooks or Hooks(), device
         _require_device(device)
         self._budget = Budget.of(settings, live=source is not None, logs=logs is not None)
         self.stream = logs if isinstance(logs, Stream) else None
@@ -108,17 +106,8 @@ class Trainer:
 
     def _untaught(self, bounds: tuple[float, float]) -> Learner:
         """The learner before its first update."""
-        task, loop = self.task, self.settings.loop
-        return Learner(
-            task.n_x,
-            gradient_mask(task.arms, task.n_u),
-            network=self.settings.network,
-            config=self.settings.learner,
-            bounds=bounds,
-            seed=loop.seed,
-            average=loop.average,
-            device=self._device,
-        )
+        mask = gradient_mask(self.task.arms, self.task.n_u)
+        return Learner(self.task.n_x, mask, self.settings, bounds=bounds, device=self._device)
 
     def _logged(self, logs: Columns | Stream | None) -> Transitions | None:
         """The store of logged transitions.
@@ -194,12 +183,14 @@ class Trainer:
     def _policy(self, actor: Actor) -> Policy:
         network = self.settings.network
         said = {
+            **self.hooks.about,
             "activation": network.activation,
             "norm": network.actor_norm,
             "updates": self.updates,
             "steps": self.steps,
+            "settings": self.settings.asdict(),
         }
-        return Policy(actor.arrays(), {**self.about, **said, "settings": self.settings.asdict()})
+        return Policy(actor.arrays(), said)
 
     @property
     def _collects(self) -> bool:
@@ -331,7 +322,7 @@ class Trainer:
         self._elapsed = time.perf_counter() - self._began
         meta = {
             "settings": self.settings.asdict(),
-            "about": self.about,
+            "about": self.hooks.about,
             "log_transitions": self.log_transitions,
             "steps": self.steps,
             "slots": slots,

@@ -5,10 +5,10 @@ of an interval.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
 
-from coordlog.episode import Array
+from coordlog.episode import Array, Json
 from coordlog.policies.learned import Policy
 from coordlog.tasks.reach.reward import ended
 from coordlog.train.columns import Block
@@ -114,6 +114,8 @@ class Hooks:
     """Called with each row of metrics: progress bars, event files."""
     should_stop: Callable[[], bool] | None = None
     """Asked at least every few dozen updates; the run then saves itself and returns."""
+    about: Json = field(default_factory=dict)
+    """JSON-able words that every policy file of the run carries."""
 
 
 class Outcome(NamedTuple):

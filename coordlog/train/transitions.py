@@ -54,6 +54,8 @@ class Transitions:
         self._final = final
         """States after the last steps, by number of episode; the next state of any other step is
         the next row. None where all next states are kept."""
+        if final is not None:
+            self._ends = rows["step"] + 1 == self._length.take(rows["episode"])
 
     @classmethod
     def ring(
@@ -188,7 +190,7 @@ class Transitions:
         if self._final is None:
             return self.take("next_state", rows, out)
         states = self.take("state", rows + 1, out)
-        ends = np.flatnonzero(self._left(rows) == 0)
+        ends = np.flatnonzero(self._ends.take(rows))
         states[ends] = self._final[self._rows["episode"].take(rows[ends])]
         return states
 

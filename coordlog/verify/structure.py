@@ -31,7 +31,7 @@ from mcap.records import (
 
 from coordlog.errors import FormatError, TruncatedError
 from coordlog.record.chunk import Expanded, definitions, expand, tiled, unpack_head
-from coordlog.record.container import summary_of
+from coordlog.record.container import Books
 from coordlog.record.decoding import require_header
 from coordlog.record.metadata import (
     EPISODE,
@@ -47,7 +47,6 @@ from coordlog.record.records import (
     RECORD_HEAD,
     TAIL_SIZE,
     Span,
-    pack,
     unpack_attachment,
     unpack_definitions,
     unpack_metadata,
@@ -87,29 +86,13 @@ def structure(data: bytes, start: int, before: Sequence[Span]) -> Iterator[Probl
     ledger = _Ledger(data)
     yield from ledger.read(before)
     ledger.require_promised()
-    groups = ledger.summary()
-    packed = ledger.defined | {
-        opcode: b"".join(map(pack, records))
-        for opcode, records in groups.items()
-        if opcode not in ledger.defined
-    }
-    summary, offsets = summary_of(packed, start)
+    summary, offsets = ledger.books.summary(start)
     (_, _, _, got, _) = FOOTER.unpack_from(data, len(data) - TAIL_SIZE)
-    if got == start + len(summary) and data[start:-TAIL_SIZE] == summary + offsets:
-        return  # to the byte what its data section deserves
-    actual: dict[int, list[McapRecord]] = {opcode: [] for opcode in _KINDS}
-    spans = list(walk(data, start, len(data) - TAIL_SIZE))
-    for span in spans:
-        if span.opcode in actual:
-            actual[span.opcode].append(_parse(_KINDS[span.opcode], data, span))
-    wanted = groups | {Opcode.SUMMARY_OFFSET: _groups(spans)}
-    for opcode, records in wanted.items():
-        yield from _compared(_KINDS[opcode].__name__, records, actual[opcode])
-    at = next(
-        (span.start - RECORD_HEAD.size for span in spans if span.opcode == Opcode.SUMMARY_OFFSET), 0
-    )
-    if got != at:
-        yield Problem(None, "footer", f"summary offsets at byte {at}", f"byte {got}")
+    if got != start + len(summary):
+        wanted = f"summary offsets at byte {start + len(summary)}"
+        yield Problem(None, "footer", wanted, f"byte {got}")
+    if data[start:-TAIL_SIZE] != summary + offsets:
+        yield from _compared(summary + offsets, data[start:-TAIL_SIZE])
 
 
 class _Ledger:
@@ -119,15 +102,10 @@ class _Ledger:
 
     def __init__(self, data: bytes) -> None:
         self._data, self._view = data, memoryview(data)
-        self.defined: dict[int, bytes] = {Opcode.SCHEMA: b"", Opcode.CHANNEL: b""}
-        """Schemas and channels as they were defined, packed."""
+        self.books = Books()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._counts: dict[int, int] = {}
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
         self._digests: dict[str, str] = {}
-        self._metadata: list[MetadataIndex] = []
         self._records: dict[str, Mapping[str, str]] = {}
         self._expanded: list[Expanded] = []  # chunks that wait to be looked at together
 
@@ -142,7 +120,7 @@ class _Ledger:
             elif span.opcode == Opcode.METADATA:
                 name, values = unpack_metadata(bytes(self._view[span.start : span.end]))
                 self._records[name] = values
-                self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+                self.books.metadata.append(MetadataIndex(offset=offset, length=length, name=name))
             elif span.opcode == Opcode.ATTACHMENT:
                 self._attachment(span, offset, length)
             elif span.opcode == Opcode.CHUNK:
@@ -150,7 +128,7 @@ class _Ledger:
                     yield from self._close()
                 yield from self._chunk(span, offset, length)
         yield from self._close()
-        names = [index.name for index in self._metadata]
+        names = [index.name for index in self.books.metadata]
         if names != [*HEADER_RECORDS, RESULT] or last != Opcode.DATA_END:
             yield Problem(
                 None,
@@ -174,34 +152,12 @@ class _Ledger:
         for name, wanted in promised.get("attachments", {}).items():
             if self._digests.get(name) != wanted:
                 raise FormatError(f"attachment {name!r}: missing, or its digest is another")
-        counts = {self._channels[id_].topic: count for id_, count in self._counts.items()}
+        counts = {self._channels[id_].topic: count for id_, count in self.books.counts.items()}
         for topic, (count, _) in promised.get("messages", {}).items():
             if counts.get(topic, 0) != count:
                 raise FormatError(
                     f"topic {topic}: expected {count} messages, got {counts.get(topic, 0)}"
                 )
-
-    def summary(self) -> dict[int, list[McapRecord]]:
-        """The summary records that the data section deserves."""
-        statistics = Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
-        return {
-            Opcode.SCHEMA: list(self._schemas.values()),
-            Opcode.CHANNEL: list(self._channels.values()),
-            Opcode.STATISTICS: [statistics],
-            Opcode.CHUNK_INDEX: list(self._chunks),
-            Opcode.ATTACHMENT_INDEX: list(self._attachments),
-            Opcode.METADATA_INDEX: list(self._metadata),
-        }
 
     def _attachment(self, span: Span, offset: int, length: int) -> None:
         content = self._view[span.start : span.end]
@@ -210,7 +166,7 @@ class _Ledger:
         at = _TIMES.size + 4 + len(name.encode())
         (size,) = _SIZE.unpack_from(content, at)
         self._digests[name] = hashlib.sha256(data).hexdigest()
-        self._attachments.append(
+        self.books.attachments.append(
             AttachmentIndex(
                 offset=offset,
                 length=length,
@@ -228,7 +184,7 @@ class _Ledger:
         start = definitions(data)
         yield from self._define(start)
         self._expanded.append(Expanded(head, data, len(start), []))
-        self._chunks.append(
+        self.books.chunks.append(
             ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=offset,
@@ -247,8 +203,8 @@ class _Ledger:
         if self._expanded and len(content) >= 2:
             self._expanded[-1].indexes.append(content)
             channel = int.from_bytes(content[:2], "little")
-            self._chunks[-1].message_index_offsets[channel] = offset
-            self._chunks[-1].message_index_length += length
+            self.books.chunks[-1].message_index_offsets[channel] = offset
+            self.books.chunks[-1].message_index_length += length
 
     def _close(self) -> Iterator[Problem]:
         """Hold the chunks before, their indexes and their heads to one another."""
@@ -261,7 +217,7 @@ class _Ledger:
             return
         for index in (index for chunk in chunks for index in chunk.indexes):
             channel, count = int.from_bytes(index[:2], "little"), (len(index) - 6) // 16
-            self._counts[channel] = self._counts.get(channel, 0) + count
+            self.books.counts[channel] = self.books.counts.get(channel, 0) + count
 
     def _explained(self, chunk: Expanded) -> Iterator[Problem]:
         """What does not fit in one chunk, its indexes and its head."""
@@ -294,12 +250,14 @@ class _Ledger:
                 entry = (message.log_time, inner.start - RECORD_HEAD.size)
                 found.setdefault(message.channel_id, []).append(entry)
         for channel, entries in found.items():
-            self._counts[channel] = self._counts.get(channel, 0) + len(entries)
+            self.books.counts[channel] = self.books.counts.get(channel, 0) + len(entries)
         return found, times
 
     def _define(self, records: bytes) -> Iterator[Problem]:
-        for opcode, packed in zip(self.defined, _raw(records), strict=True):
-            self.defined[opcode] += packed
+        for kept, packed in zip(
+            (self.books.schemas, self.books.channels), _raw(records), strict=True
+        ):
+            kept.update(packed)
         schemas, channels = unpack_definitions(records)
         version = self._records.get(EPISODE, {}).get("schema_version")
         for schema in schemas:
@@ -356,43 +314,32 @@ def _require_schema(name: str, encoding: str, text: bytes, first: bool) -> None:
 
 
 @lru_cache(maxsize=64)
-def _raw(records: bytes) -> tuple[bytes, bytes]:
+def _raw(records: bytes) -> tuple[dict[bytes, None], dict[bytes, None]]:
     """The schemas and the channels among some records, as they stand there: the same few bytes in
     every file.
     """
-    kinds: dict[int, bytes] = {Opcode.SCHEMA: b"", Opcode.CHANNEL: b""}
+    kinds: dict[int, dict[bytes, None]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
     for span in walk(records, 0):
-        kinds[span.opcode] += records[span.start - RECORD_HEAD.size : span.end]
+        kinds[span.opcode][records[span.start - RECORD_HEAD.size : span.end]] = None
     return kinds[Opcode.SCHEMA], kinds[Opcode.CHANNEL]
 
 
-def _groups(spans: list[Span]) -> list[McapRecord]:
-    """The summary offsets that the records of a summary deserve: one per run of equal records."""
-    groups: list[SummaryOffset] = []
-    for span in spans:
-        if span.opcode == Opcode.SUMMARY_OFFSET:
-            break
-        length = span.end - span.start + RECORD_HEAD.size
-        if not groups or groups[-1].group_opcode != span.opcode:
-            groups.append(
-                SummaryOffset(
-                    group_opcode=span.opcode,
-                    group_start=span.start - RECORD_HEAD.size,
-                    group_length=0,
-                )
-            )
-        groups[-1].group_length += length
-    return list(groups)
+def _compared(wanted: bytes, got: bytes) -> Iterator[Problem]:
+    """Records of a summary that are not those that the data section deserves, kind by kind."""
+    ours, theirs = _by_kind(wanted), _by_kind(got)
+    for kind, records in ours.items():
+        for index, (a, b) in enumerate(zip_longest(records, theirs[kind])):
+            if a != b:
+                yield Problem(None, f"summary {kind.__name__} {index}", f"{a}", f"{b}")
 
 
-def _compared(kind: str, wanted: list[McapRecord], got: list[McapRecord]) -> Iterator[Problem]:
-    for index, (a, b) in enumerate(zip_longest(wanted, got)):
-        if a != b:
-            yield Problem(None, f"summary {kind} {index}", f"{a}", f"{b}")
-
-
-def _parse(kind: Any, data: bytes, span: Span) -> Any:
-    return kind.read(_stream(data, span))
+def _by_kind(records: bytes) -> dict[Any, list[McapRecord]]:
+    found: dict[Any, list[McapRecord]] = {kind: [] for kind in _KINDS.values()}
+    for span in walk(records, 0):
+        if span.opcode in _KINDS:
+            kind = _KINDS[span.opcode]
+            found[kind].append(kind.read(_stream(records, span)))
+    return found
 
 
 def _stream(data: bytes, span: Span) -> ReadDataStream:

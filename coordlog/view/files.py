@@ -11,8 +11,9 @@ import rerun as rr
 
 from coordlog.errors import ConfigError, StorageError, TruncatedError
 from coordlog.monitor import Monitor
+from coordlog.record.addresses import is_single
 from coordlog.record.dataset import open as open_logs
-from coordlog.record.files import find_files, nothing_found
+from coordlog.record.files import Files, find_files, nothing_found
 from coordlog.record.opening import load, naming
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.siblings import sibling
@@ -31,34 +32,29 @@ class Drawn(NamedTuple):
 
 
 def draw_files(
-    paths: Sequence[Path],
+    paths: Sequence[Path] | Files,
     *,
     beside: Path | None = None,
     alone: bool = False,
     ghosts: bool = False,
     monitor: Monitor | None = None,
 ) -> Drawn:
-    """Draw episodes together, or one folder as an overview.
+    """Draw episodes together, or many of a folder, pack, store or manifest as an overview.
 
     Args:
-        paths: Episodes, or one folder.
+        paths: Episodes; or folders and the like; or what a search has found, as an overview.
         beside: Another episode beside them.
         alone: Do not look for the smoothed or raw sibling of a single episode.
         ghosts: Robots in one place, translucent, instead of side by side.
         monitor: Hears of progress, and of files that are left out.
 
     Raises:
-        ConfigError: for a folder among several paths.
         SpecError: for a folder without an episode to show.
         FormatError: if a file is no episode, or holds no complete step.
     """
     heard = Monitor() if monitor is None else monitor
-    if len(paths) > 1 and any(item.is_dir() for item in paths):
-        raise ConfigError(
-            "view: expected one folder, or episodes; got a folder among several paths"
-        )
-    if paths[0].is_dir():
-        return _overview(paths[0], heard)
+    if isinstance(paths, Files) or not all(map(is_single, paths)):
+        return _overview(paths, heard)
     shows = [_show(path) for path in _together(list(paths), beside, alone=alone, monitor=heard)]
     aborted = any(show.episode.result.aborted for show in shows)
     said = "aborted or unfinished: shown as far as it goes" if aborted else ""
@@ -120,12 +116,13 @@ def _apart(shows: list[Show]) -> list[Show]:
     return shows
 
 
-def _overview(folder: Path, monitor: Monitor) -> Drawn:
-    """The overview of a folder; files that are left out because they are broken are named."""
-    files = find_files(folder)
+def _overview(paths: Sequence[Path] | Files, monitor: Monitor) -> Drawn:
+    """The overview of many; files that are left out because they are broken are named."""
+    files = paths if isinstance(paths, Files) else find_files(paths)
+    given = () if isinstance(paths, Files) else paths
     if not files.paths:
-        raise nothing_found([folder], files)
-    logs = open_logs(folder, skip_broken=True)
+        raise nothing_found(given, files)
+    logs = open_logs(files.paths, skip_broken=True)
     with monitor.progress("reading episodes", len(logs)) as progress:
 
         def shows() -> Iterator[Show]:
@@ -141,8 +138,8 @@ def _overview(folder: Path, monitor: Monitor) -> Drawn:
         try:
             stream = to_overview(shows())
         except ConfigError as error:
-            files = files._replace(skipped=())
-            raise nothing_found([folder], files, skipped=logs.skipped) from error
-    for item in logs.skipped:
+            raise nothing_found(given, files, skipped=logs.skipped) from error
+    left = [*files.skipped, *logs.skipped]
+    for item in left:
         monitor.note(f"skipped: {item.path}: {item.reason}")
-    return Drawn(stream, "some files were left out" if logs.skipped else "")
+    return Drawn(stream, "some files were left out" if left else "")

@@ -81,15 +81,45 @@ def update(tasks):
         from coordlog.train.gradients import gradient_mask
         from coordlog.train.settings import PRESETS
         arms = {"left": list(range(9)), "right": [0, 1, 2, 3, 4, 9, 10, 11, 12]}
-        preset = PRESETS["default"]
-        learner = Learner(39, gradient_mask(arms, 13), network=preset.network,
-                          config=preset.learner, bounds=(-60.0, 30.0), seed=0)
+        preset, mask, bounds = PRESETS["default"], gradient_mask(arms, 13), (-60.0, 30.0)
+        try:
+            learner = Learner(39, mask, preset, bounds=bounds)
+        except TypeError:
+            learner = Learner(39, mask, network=preset.network, config=preset.learner,
+                              bounds=bounds, seed=0)
         def numbers(width):
             return torch.rand(256, width) * 2 - 1
         ones = torch.ones(256, 1)
         batch = Batch(numbers(39), numbers(13), numbers(2), numbers(39), 0.98 * ones, ones, numbers(13))
         kept["update"] = lambda: [learner.update(batch, behaviour_weight=1.0) for _ in range(20)]
     return timed(kept["update"])
+
+def batch(rows):
+    if "batch" not in kept:
+        try:
+            from experiments.speed.bench_train import epoch, mapped
+            from coordlog.train.transitions import Transitions
+            store_of = Transitions.of_logs
+        except ImportError:
+            from bench.bench_train import epoch, mapped
+            from coordlog.train.logs import LogReplay as store_of
+        store = store_of(mapped(OUT, 150_000), lambda distance, *flags: -distance)
+        rows = np.random.default_rng(0).permutation(150_000)[: 200 * 256]
+        kept["batch"] = lambda: epoch(store, rows)
+    return timed(kept["batch"])
+
+def trajectory(what):
+    scene, policy, part = what.split("|")
+    try:
+        from experiments import actors, case, evaluate, safe
+    except ImportError:
+        from results import actors, case, evaluate, safe
+    if scene not in kept:
+        env = evaluate.environment(scene, policy, radius=0.03, torso="free", envs=1, threads=1)
+        kept[scene] = env, actors.actor(policy, env)[0]
+    env, act = kept[scene]
+    found = [safe.safe(env, case.case(env, i), [act], physics=False).cpu for i in range(4)]
+    return sum(sum(cpu.values()) if part == "whole" else cpu[part] for cpu in found)
 
 def timed(call):
     began = time.process_time()
@@ -111,6 +141,7 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            cwd=tree,  # whose modules come before all others
             env=os.environ | {"PYTHONPATH": str(tree.resolve()), "OMP_NUM_THREADS": "1"},
         )
 
@@ -137,8 +168,9 @@ def main() -> None:
     parser.add_argument("--now", type=Path, required=True)
     parser.add_argument("--rounds", type=int, default=5)
     given = parser.parse_args()
-    here = {key(path): path for path in given.now.rglob("*.mcap")}
-    pairs = [(p, here[key(p)]) for p in sorted(given.logs.rglob("*.mcap")) if key(p) in here]
+    here = {key(path): path for path in given.now.resolve().rglob("*.mcap")}
+    logs = sorted(given.logs.resolve().rglob("*.mcap"))
+    pairs = [(path, here[key(path)]) for path in logs if key(path) in here]
     workers = Worker(given.before), Worker(HERE)
     ratios = [compare(workers, "smooth", pair, given.rounds) for pair in pairs]
     print(f"smooth: median of {len(ratios)} ratios {median(ratios):.3f}")
@@ -146,6 +178,12 @@ def main() -> None:
     for kind in ("off", "plain", "display"):
         compare(workers, "stepping", (kind, kind), given.rounds)
     compare(workers, "update", ("", ""), given.rounds)
+    compare(workers, "batch", ("", ""), given.rounds)
+    for scene in ("free", "table"):  # the same policy of the other tree on both sides
+        policy = given.before.resolve() / "coordlog" / "policies" / f"{scene}.safetensors"
+        for part in ("smooth", "whole"):
+            what = f"{scene}|{policy}|{part}"
+            compare(workers, "trajectory", (what, what), given.rounds)
     sizes = [sum(pair[side].stat().st_size for pair in pairs) for side in (0, 1)]
     print(f"{'sizes':9} {sizes[0]:9} B {sizes[1]:9} B {sizes[1] / sizes[0]:6.3f}")
     for worker in workers:

@@ -37,7 +37,7 @@ from coordlog.catalog.packing import pack_files
 from coordlog.catalog.query import Source, ask
 from coordlog.catalog.rows import KEPT
 from coordlog.catalog.selection import Split, select
-from coordlog.catalog.summary import summarise
+from coordlog.catalog.summary import summary
 from coordlog.episode import Episode
 from coordlog.parallel import mapped
 from coordlog.record import manifest
@@ -185,7 +185,7 @@ def files(folder: Path, options: argparse.Namespace) -> Iterator[Row]:
     few = logs[: n // 10]
     yield (
         "info, from the ends of the files",
-        timed(lambda: summarise(few), runs=1) / len(few) * 1e3,
+        timed(lambda: summary(gather(few)), runs=1) / len(few) * 1e3,
         "ms a file",
     )
     sql = "select scene, count(*), sum(length), avg(clean::int) from episodes group by 1"
@@ -316,7 +316,8 @@ def _copied(
     container = Container(LIBRARY)
     for name, values in header.items():
         container.add_metadata(name, values)
-    container._schemas, container._channels = parts[0]._schemas, parts[0]._channels
+    container.books.schemas = parts[0].books.schemas
+    container.books.channels = parts[0].books.channels
     for chunk in parts[1:]:
         container.add_chunk(chunk)
     marker = encode_commit(episode.result, metadata=header, attachments={}, messages=messages)

@@ -76,10 +76,8 @@ def digrad(settings: Settings, size: int, *, tasks: int = 2) -> Callable[[], obj
     learner = Learner(
         N_X,
         gradient_mask(arms, N_U),
-        network=settings.network,
-        config=settings.learner,
+        settings,
         bounds=(-60.0, 30.0),
-        seed=0,
     )
     generator = torch.Generator().manual_seed(0)
 

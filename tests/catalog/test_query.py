@@ -8,6 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
+from coordlog.catalog import query
 from coordlog.catalog.gather import gather
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.query import StepStream, ask
@@ -134,6 +135,31 @@ def test_sql_that_does_anything_else_is_refused(sql: str, tmp_path: Path) -> Non
         ask("select 1", sources, where=f"1 = 1); {sql.format(folder=tmp_path)}; select (1")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["logs", "secret.csv"]
     assert secret.num_rows == 1
+
+
+@pytest.mark.parametrize(
+    ("sql", "reason"),
+    [
+        ("select * from range(1000000000)", "answer is of"),
+        ("with recursive t(n) as (select 1 union all select n + 1 from t) select max(n) from t",
+         "no answer after 0.5 s"),
+        ("select max(a.n) from range(10000000000) as a(n)", "no answer after 0.5 s"),
+        ("select list(n) from range(1000000000) as t(n)", "Out of Memory"),
+        ("select random() r from range(100000000) order by r", "Out of Memory"),
+    ],
+)  # fmt: skip
+def test_a_query_takes_no_more_than_it_may(
+    sql: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("coordlog.catalog.query.MOST", 10_000_000)
+    monkeypatch.setitem(query._CONFIG, "memory_limit", "30MB")
+    write(tmp_path / "logs" / "a.mcap", 0)
+    sources = gather(["logs"]).sources
+    with pytest.raises(ConfigError, match=f"^SQL: .*{reason}") as caught:
+        ask(sql, sources, timeout=0.5 if "0.5 s" in reason else 60)
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["logs"]
 
 
 def test_no_episode_has_no_steps() -> None:

@@ -3,7 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from coordlog.catalog.summary import summarise
+from coordlog.catalog.gather import gather
+from coordlog.catalog.summary import summary as summed
 from coordlog.errors import SpecError
 from coordlog.record.writer import write_episode
 from tests.record.test_reader import bad_files
@@ -26,7 +27,7 @@ def folder(tmp_path, rng):
 
 
 def test_rows_and_totals(folder):
-    summary = summarise([folder])
+    summary = summed(gather([folder]))
     assert [
         (row.scene, row.policy, row.length, row.success, row.clean, row.aborted)
         for row in summary.rows
@@ -63,12 +64,12 @@ def test_lineage_is_told(tmp_path, rng):
     write_episode(
         tmp_path / "a.mcap", make_episode(rng, header=header), attachments={}, display=False
     )
-    (row,) = summarise([tmp_path]).rows
+    (row,) = summed(gather([tmp_path])).rows
     assert (row.transform, row.parents) == ("smooth", ("ab" * 32,))
 
 
 def test_it_is_plain_json(folder):
-    summary = summarise([folder])
+    summary = summed(gather([folder]))
     data = json.loads(json.dumps(summary.to_json()))
     assert [row["path"] for row in data["episodes"]] == [
         str(folder / f"{name}.mcap") for name in "abc"
@@ -81,7 +82,7 @@ def test_it_is_plain_json(folder):
 def test_broken_files_are_named_with_their_reason(folder):
     bad = bad_files(folder, make_header())
     del bad["folder.mcap"]
-    summary = summarise([folder])
+    summary = summed(gather([folder]))
     assert len(summary.rows) == 3
     assert {skipped.path.name for skipped in summary.skipped} == bad.keys()
     assert all(bad[skipped.path.name] in skipped.reason for skipped in summary.skipped)
@@ -89,4 +90,4 @@ def test_broken_files_are_named_with_their_reason(folder):
 
 def test_an_empty_folder_is_said_to_be_one(tmp_path):
     with pytest.raises(SpecError, match="no episodes"):
-        summarise([tmp_path])
+        summed(gather([tmp_path]))

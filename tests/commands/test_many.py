@@ -14,10 +14,12 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner, Result
 
+from coordlog.api.logs import load_logs
 from coordlog.cli import app
 from coordlog.commands import terminal
-from coordlog.errors import CoordlogError, WorkerError
+from coordlog.errors import CoordlogError, SpecError, WorkerError
 from coordlog.parallel import mapped, shard, workers
+from coordlog.smooth.batch import plan
 
 DATA = Path(__file__).parents[1] / "data" / "v1"
 run = CliRunner()
@@ -164,6 +166,40 @@ def test_a_manifest_whose_episodes_are_gone_lists_them(logs: Path) -> None:
     path.unlink()
     result = answer("query", "select count(*) n from episodes", "all.manifest", code=3)
     assert f"{path.name}: gone" in result.stderr
+    shutil.rmtree(logs / "planar")
+    assert "; and 1 more; --skip-broken" in refusal(
+        "export", "all.manifest", "--to", "csv", "--out", "csv"
+    )
+    shutil.rmtree(logs / "table")
+    result = answer("query", "select count(*) n from episodes", "all.manifest", code=3)
+    assert result.stderr.count(": gone") == 4
+
+
+def test_what_is_made_of_episodes_has_their_names_whatever_was_named(logs: Path) -> None:
+    answer("select", logs, "--out", logs / "all.manifest")
+    answer("pack", logs, "--out", "PACK", "--no-index")
+    wanted = {path.relative_to(logs).as_posix() for path in logs.rglob("*.mcap")}
+    for named in (logs, logs / "all.manifest", Path("PACK")):
+        batch = plan([named], Path("out"), {})
+        assert {job.target.relative_to("out").as_posix() for job in batch.jobs} == wanted
+
+
+def test_an_overview_of_what_satisfies_a_condition(logs: Path) -> None:
+    answer("pack", logs, "--out", "PACK", "--no-index")
+    answer("view", "PACK", "--where", "scene = 'table' and clean", "--save", "some.rrd")
+    assert "no episode of 4 satisfies" in refusal("view", logs, "--where", "false", "--no-open")
+
+
+def test_logs_of_several_scenes_are_refused_before_they_are_decoded(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def decode(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("coordlog.record.cache.load", decode)
+    answer("index", logs)
+    with pytest.raises(SpecError, match="logs of several scenes"):
+        load_logs([logs])
 
 
 def test_pack_and_back(logs: Path) -> None:

@@ -15,8 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from coordlog.episode import Json
 from coordlog.record.reader import read_attachments, read_episode, read_header
 from coordlog.record.writer import write_episode
+from coordlog.smooth import batch
 from tests import spoken
 from tests.spoken import Said, sound
 
@@ -61,7 +63,7 @@ def smoothed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     out = tmp_path_factory.mktemp("smoothed") / "new"
     before = digests(logs)
     report = out.parent / "report.json"
-    run("smooth", logs, "--out", out, "--report", report, "--jobs", "2")
+    run("smooth", logs, "--out", out, "--report", report, "--jobs", "1")
     assert digests(logs) == before, "logs are never touched"
     return out, json.loads(report.read_text())
 
@@ -359,13 +361,33 @@ def many(logs: Path, folder: Path, count: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(
-    logs: Path, tmp_path: Path, jobs: str
+def test_ctrl_c_ends_between_two_episodes_and_the_next_run_goes_on(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, out = many(logs, tmp_path / "in", 4), tmp_path / "out"
+
+    def interrupted(job: batch.Job) -> Json:
+        row = batch_smooth_file(job)
+        if job.source.stem == "01":
+            signal.raise_signal(signal.SIGINT)
+        return row
+
+    batch_smooth_file = batch.smooth_file
+    monkeypatch.setattr(batch, "smooth_file", interrupted)
+    done = spoken.said("smooth", folder, "--out", out, "--jobs", "1")
+    assert (done.exit_code, done.unforeseen) == (130, None), done.stderr
+    assert sorted(path.name for path in out.iterdir() if path.suffix) == ["00.mcap", "01.mcap"]
+    monkeypatch.setattr(batch, "smooth_file", batch_smooth_file)
+    again = json.loads(run("smooth", folder, "--out", out, "--jobs", "1", "--json").stdout)
+    assert (again["resumed"], again["episodes"]) == (2, 4)
+
+
+def test_ctrl_c_reaches_the_workers_too_and_the_next_run_goes_on(
+    logs: Path, tmp_path: Path
 ) -> None:
     folder, out = many(logs, tmp_path / "in", 12), tmp_path / "out"
     process = subprocess.Popen(
-        [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", jobs],
+        [*COORDLOG, "smooth", str(folder), "--out", str(out), "--jobs", "2"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -378,11 +400,12 @@ def test_ctrl_c_leaves_finished_outputs_and_the_next_run_goes_on(
     _, err = process.communicate(timeout=300)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    done = len(list(out.glob("*.mcap")))
-    assert 2 <= done < 12
+    finished = sorted(out.glob("*.mcap"))
+    assert 2 <= len(finished) < 12
     assert not list(out.glob("*.part"))
-    again = json.loads(run("smooth", folder, "--out", out, "--jobs", "1", "--json").stdout)
-    assert (again["resumed"], again["episodes"]) == (done, 12)
+    here = tmp_path / "here"
+    run("smooth", folder / finished[0].name, "--out", here, "--jobs", "1")
+    assert (here / finished[0].name).read_bytes() == finished[0].read_bytes(), "whoever made it"
 
 
 def test_a_killed_batch_goes_on_where_it_stopped(logs: Path, tmp_path: Path) -> None:

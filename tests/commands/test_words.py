@@ -7,10 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import pytest
 
+from coordlog.cli import app
 from coordlog.commands import terminal
 from tests.spoken import sound
 
@@ -22,13 +24,6 @@ ODD = [
     "e\u202ee.mcap",
     ":x:.mcap",
 ]
-
-
-def run(*args: str | Path, **env: str) -> subprocess.CompletedProcess[bytes]:
-    command = [sys.executable, "-m", "coordlog.cli", *map(str, args)]
-    return subprocess.run(
-        command, capture_output=True, timeout=120, check=False, env={**os.environ, **env}
-    )
 
 
 def test_names_are_printed_as_they_are_and_never_obeyed(tmp_path: Path) -> None:
@@ -65,12 +60,30 @@ def test_every_way_of_saying_something_shows_markup_and_controls(
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-def test_what_an_encoding_lacks_is_written_plainly(encoding: str, tmp_path: Path) -> None:
+def test_what_an_encoding_lacks_is_written_plainly(
+    encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = Path(shutil.copy(GOOD, tmp_path / "ε 機 µ.mcap"))
-    done = run("info", path, PYTHONIOENCODING=encoding)
+    for words in (("info", path), ("info", path, "--json")):
+        heard = BytesIO()
+        monkeypatch.setattr(sys, "stdout", TextIOWrapper(heard, encoding=encoding))
+        terminal.prepare_streams()
+        app([str(word) for word in words], standalone_mode=False)
+        sys.stdout.flush()
+    assert json.loads(heard.getvalue().decode(encoding))["episodes"][0]["path"] == str(path)
+
+
+def test_a_terminal_of_ascii_is_met_by_a_process_as_well(tmp_path: Path) -> None:
+    path = Path(shutil.copy(GOOD, tmp_path / "ε 機 µ.mcap"))
+    done = subprocess.run(
+        [sys.executable, "-m", "coordlog.cli", "info", path, path.parent],
+        capture_output=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
+    )
     assert done.returncode == 0, done.stderr
-    done = run("info", path, "--json", PYTHONIOENCODING=encoding, LC_ALL="C")
-    assert json.loads(done.stdout.decode(encoding))["episodes"][0]["path"] == str(path)
+    assert done.stdout.decode("ascii")
 
 
 def test_the_error_handler_writes_our_letters_in_ascii() -> None:

@@ -462,5 +462,5 @@ def test_metadata_that_is_no_table_is_refused(tmp_path, info, said):
 
 def test_a_pointer_of_git_lfs_and_a_folder_of_tables_are_said(tmp_path):
     (tmp_path / "x.parquet").write_text("version https://git-lfs.github.com/spec/v1\nsize 1\n")
-    refused(tmp_path / "x.parquet", "a pointer of Git LFS")
+    refused(tmp_path / "x.parquet", "expected Parquet, got a Git LFS pointer")
     refused(tmp_path, "a folder of tables: give its files")

@@ -93,19 +93,15 @@ def test_the_table_lies_over_the_decoded_arrays():
     assert array.flatten().buffers()[1].address == values.ctypes.data
 
 
-def test_finals_have_a_row_per_episode(folder, episodes):
-    finals = dataset.open(folder).finals()
-    finals.validate(full=True)
-    assert finals["file"].to_pylist() == [str(path) for path in dataset.open(folder).paths]
-    for name in ("length", "success", "clean", "terminated", "truncated", "aborted", "digest"):
-        assert finals[name].to_pylist() == [
-            getattr(episode.result, name) for episode in episodes
-        ], name
-    assert finals["returns"].to_pylist() == [list(episode.result.returns) for episode in episodes]
-    for name in ("time", "qpos", "qvel", "state"):
-        assert np.array(finals[name].to_pylist(), getattr(episodes[0], name).dtype).tolist() == [
-            getattr(episode, name)[-1].tolist() for episode in episodes
-        ]
+def test_what_is_decoded_for_learning_has_a_row_per_episode(folder, episodes):
+    paths, digests, skipped = dataset.open(folder).paths, {}, []
+    (found,) = dataset.decoded(paths, skipped=skipped, digests=digests)
+    found.finals.validate(full=True)
+    kept = [episode for episode in episodes if len(episode)]
+    assert found.finals["length"].to_pylist() == list(map(len, kept))
+    assert found.finals["state"].to_pylist() == [each.state[-1].tolist() for each in kept]
+    assert not skipped
+    assert list(digests) == list(paths)
 
 
 def test_many_files_are_decoded_in_groups(tmp_path, rng):
@@ -146,13 +142,13 @@ def test_a_file_found_damaged_while_reading_is_named_or_skipped(folder):
         list(dataset.open(folder))
     with pytest.raises(FormatError, match=r"c/a\.mcap: chunk"):
         dataset.open(folder).to_table()
-    for use in (
-        lambda opened: [len(episode) for episode in opened],
-        lambda opened: opened.finals()["length"].to_pylist(),
-    ):
-        opened = dataset.open(folder, skip_broken=True)
-        assert use(opened) == [30, 1, 0]
-        assert [skipped.path for skipped in opened.skipped] == [folder / "c" / "a.mcap"]
+    opened = dataset.open(folder, skip_broken=True)
+    assert [len(episode) for episode in opened] == [30, 1, 0]
+    assert [skipped.path for skipped in opened.skipped] == [folder / "c" / "a.mcap"]
+    digests, skipped = {}, []
+    (found,) = dataset.decoded(opened.paths, skipped=skipped, digests=digests)
+    assert found.finals["length"].to_pylist() == [30, 1]
+    assert [item.path for item in skipped] == [folder / "c" / "a.mcap"]
     table = dataset.open(folder, skip_broken=True).to_table()
     assert table["episode"].to_pylist() == [0] * 30 + [1]
 

@@ -77,7 +77,10 @@ def test_hidden_files_are_files_and_those_of_macos_are_none(tmp_path: Path) -> N
     (tmp_path / ".hidden" / ".a.mcap").write_bytes(b"1")
     (tmp_path / "._b.mcap").write_bytes(b"\x00\x05\x16\x07" + bytes(4092))
     (tmp_path / "._c.mcap").write_bytes(b"\x89MCAP0\r\n")  # only called like one
+    (tmp_path / ".catalog").mkdir()
+    (tmp_path / ".catalog" / "part-000001-00000000.parquet").write_bytes(b"PAR1")
     found = find_files(tmp_path)
+    assert found.others == ()  # our own catalogue is nothing to import
     assert names(found) == ["._c.mcap", ".a.mcap"]
     assert "AppleDouble" in reasons(found)["._b.mcap"]
 

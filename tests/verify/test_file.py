@@ -269,7 +269,8 @@ def written_anew(data, change):
             chunk = expand(memoryview(content))
             defined = definitions(chunk)
             for inner in walk(defined, 0):
-                kept = container._schemas if inner.opcode == Opcode.SCHEMA else container._channels
+                books = container.books
+                kept = books.schemas if inner.opcode == Opcode.SCHEMA else books.channels
                 kept[defined[inner.start - 9 : inner.end]] = None
             batches = [
                 Batch(

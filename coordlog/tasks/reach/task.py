@@ -82,10 +82,13 @@ class ReachTask:
 
     def sample(
         self, rng: np.random.Generator, scene: Scene, kinematics: Kinematics, angles: Array
-    ) -> Sample:
-        """The sides of an object drawn in the scene's box, or without one a posture's palms."""
+    ) -> Sample | None:
+        """The sides of an object drawn in the scene's box, or without one a posture's palms; None
+        if there is no such posture.
+        """
         if scene.object_box is None:
-            return Sample(goals.anywhere(rng, kinematics), reachable=True)
+            palms = goals.anywhere(rng, kinematics)
+            return None if palms is None else Sample(palms, reachable=True)
         centre = goals.inside(rng, scene.object_box)
         sides = np.array([scene.palm_offset, -scene.palm_offset])
         points = np.stack([centre + np.array([0.0, side, 0.0]) for side in sides])
