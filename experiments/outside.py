@@ -39,7 +39,7 @@ HEAD = (
 )
 
 
-LOGS, HELD_OUT, NOISE = 256, 200, 0.15
+LOGS, HELD_OUT, NOISE = 256, 200, 0.5
 LEARNT = (
     "robot",
     "expert logs",

@@ -29,8 +29,8 @@ def postures(reach: Reach) -> list[Array]:
     do.
 
     An expert that ends in a posture of chance wherever a search fails cannot be learnt from: where
-    its palms go says nothing then of where its joints do. From a start pose at a limit of its
-    joints, every fourth search may fail.
+    its palms go says nothing then of where its joints do. From arms that hang, three searches of
+    ten may get stuck at the limits of joints that were turned the wrong way.
     """
     rng = np.random.default_rng(0)
     drawn = [anywhere(rng, reach) for _ in range(SURVEYED)]
