@@ -48,8 +48,8 @@ def unknown_names(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
 
 
 def switched(spec: mujoco.MjSpec) -> list[str]:
-    """Flags and things under which nothing could be told or replayed; sensors are switched on again, which
-    moves nothing.
+    """What nothing could be told or replayed with; sensors are switched on again, which moves
+    nothing.
     """
     spec.option.disableflags &= ~SENSOR
     said = []
