@@ -98,6 +98,7 @@ def coordlog(
 def main() -> None:
     """Entry point of the console script."""
     terminal.prepare_streams()
+    terminal.hear_warnings()
     # a polite kill unwinds as Ctrl-C does: nothing that was started is left behind
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = EXIT_BAD_INPUT

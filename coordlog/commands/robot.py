@@ -64,6 +64,8 @@ def robot(
     """
     if Path(model).suffix.lower() in MODELS:
         scene = _card(Path(model), palm or [], name=name, out=out, force=force, quiet=explain)
+    elif Path(model).suffix.lower() == ".xacro":
+        raise ConfigError(f"{model}: a xacro; make a URDF of it: `xacro {model} > robot.urdf`")
     elif palm or out or name:
         raise ConfigError(
             f"{model}: --palm, --name and --out belong to a model, expected an MJCF or URDF file"

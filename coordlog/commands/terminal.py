@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 import unicodedata
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -82,6 +83,19 @@ def prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors=_ERRORS)
+
+
+def hear_warnings() -> None:
+    """Say what libraries warn of as notes, each once, without the line of code it came from."""
+    heard = set()
+
+    def say_once(message: Warning | str, *_: Any, **__: Any) -> None:
+        text = " ".join(str(message).split())
+        if text not in heard:
+            heard.add(text)
+            note(text)
+
+    warnings.showwarning = say_once
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:

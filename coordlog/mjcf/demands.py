@@ -48,8 +48,8 @@ def unknown_names(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
 
 
 def switched(spec: mujoco.MjSpec) -> list[str]:
-    """Flags under which nothing could be told or replayed; sensors are switched on again, which
-    moves nothing.
+    """What nothing could be told or replayed with; sensors are switched on again, which moves
+    nothing.
     """
     spec.option.disableflags &= ~SENSOR
     said = []
@@ -73,6 +73,11 @@ def switched(spec: mujoco.MjSpec) -> list[str]:
             'its model lets bodies sleep (<flag sleep="enable"/>), which is no part of a state '
             "that a log could hold: "
             "take that out"
+        )
+    if len(spec.flexes):
+        said.append(
+            "its model has a flex (cloth, cable, soft body), whose contacts join no geoms, so no "
+            "collision with it could be told: take that out"
         )
     if not spec.option.timestep > 0:
         said.append(f"its model has the timestep {spec.option.timestep:g} s: expected more than 0")

@@ -29,6 +29,7 @@ FROM_GEOMS = 1
 FROM_GEOMS_IF_NONE = 2
 ANCESTORS = 6
 """How many folders above a URDF its `package://` names are looked for in."""
+XACRO = "http://www.ros.org/wiki/xacro"
 LFS = b"version https://git-lfs.github.com/"
 UNREADABLE = (".dae", ".glb", ".gltf", ".fbx", ".ply")
 """Mesh formats that MuJoCo has no decoder for."""
@@ -168,7 +169,13 @@ def _without_nan(robot: Robot) -> None:
     """
     text = robot.mjcf
     if isinstance(text, Path):
-        text = text.read_text(encoding="utf-8", errors="replace") if text.is_file() else ""
+        data = text.read_bytes() if text.is_file() else b""
+        text = data.decode("utf-8", errors="replace")
+        if "\ufffd" in text and data.lstrip().startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+            raise ConfigError(
+                f"robot '{robot.name}': its model in {robot.mjcf} is not in UTF-8, which MuJoCo "
+                "reads: save it as UTF-8"
+            )
     for name, values in ATTRIBUTE.findall(text):
         if name not in LABELS and any(part.lower() in NOT_NUMBERS for part in values.split()):
             raise ConfigError(
@@ -190,6 +197,14 @@ def _included(robot: Robot) -> dict[str, bytes]:
 
 def _refused(robot: Robot, error: ValueError) -> ConfigError:
     said = str(error).strip().splitlines()[0].removeprefix("Error: ")
+    text = robot.mjcf
+    if isinstance(text, Path):
+        text = text.read_text(encoding="utf-8", errors="replace") if text.is_file() else ""
+    if XACRO in text:
+        return ConfigError(
+            f"robot '{robot.name}': its model is a xacro, of which a URDF has yet to be made: "
+            "`xacro FILE > robot.urdf`"
+        )
     if isinstance(robot.mjcf, Path):
         what = what_is(robot.mjcf)
         if what and not what.startswith("an XML"):

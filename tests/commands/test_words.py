@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
@@ -117,3 +118,18 @@ def test_json_has_no_numbers_that_json_lacks(capsys: pytest.CaptureFixture[str])
         "b": [None, 1.5],
         "c": ["x"],
     }
+
+
+def test_what_a_library_warns_of_is_said_once_and_without_its_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted: list[object] = []
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    monkeypatch.setattr(terminal, "note", noted.append)
+    terminal.hear_warnings()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        for _ in range(2):
+            warnings.warn("two\n  lines", UserWarning, stacklevel=1)
+    assert noted == ["two lines"]
+    assert capsys.readouterr().err == ""

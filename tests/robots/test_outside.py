@@ -292,6 +292,24 @@ def test_a_urdf_gets_servos_and_replays(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (text(world='<site name="\xe9"/>').encode("latin-1"), "is not in UTF-8"),
+        (text().encode("utf-16"), "is not in UTF-8"),
+        (
+            b'<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"><inertial>'
+            b'<mass value="${m}"/></inertial></link></robot>',
+            "is a xacro",
+        ),
+    ],
+)
+def test_a_model_in_another_form_is_called_what_it_is(data, said, tmp_path):
+    (tmp_path / "model.xml").write_bytes(data)
+    with pytest.raises(ConfigError, match=said):
+        whole(robot(tmp_path / "model.xml"))
+
+
+@pytest.mark.parametrize(
     ("file", "data", "said"),
     [
         ("m.stl", b"version https://git-lfs.github.com/spec/v1\noid", "m.stl, which is a Git LFS"),
@@ -397,6 +415,13 @@ def test_a_geom_of_the_world_needs_no_name_and_may_have_blanks_in_it(name):
         ({"servo_gains": {"c": (1.0, 1.0)}}, "servo_gains names the joint 'c'"),
         ({"ranges": {"c": (0.0, 1.0)}}, "ranges names the joint 'c'"),
         ({"option": '<flag actuation="disable"/>'}, "switches actuators off"),
+        (
+            {
+                "more": '<deformable><flex name="f" dim="1" body="stand upper" element="0 1" '
+                'vertex="0 0 0 0 0 .1"/></deformable>'
+            },
+            "its model has a flex",
+        ),
         ({"world": '<site name="a&#10;b"/>'}, "with a line break or another control character"),
     ],
 )
