@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import secrets
 import signal
+import socket
 import sys
 import threading
 from collections import deque
@@ -210,25 +212,46 @@ def cluster(address: str) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+    elsewhere = address if address != RAY else os.environ.get("RAY_ADDRESS", "")
+    _require_head(elsewhere)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     quiet: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
     try:
         if address == RAY:
-            local: dict[str, Any] = {} if os.environ.get("RAY_ADDRESS") else _ALONE
-            ray.init(**local, **quiet)
+            ray.init(**({} if elsewhere else _ALONE), **quiet)
         else:
             ray.init(address, **quiet)
     except Exception as error:  # noqa: BLE001 - Ray raises whatever its transport does
-        raise ConfigError(
-            f"--jobs {address}: cannot use the cluster: {str(error).splitlines()[0]}; the head "
-            "needs"
-            f" Ray {ray.__version__}, as here, and the same Python"
-        ) from None
+        advice = "--jobs with a number needs no cluster"
+        if elsewhere:
+            advice = f"the head needs Ray {ray.__version__}, as here, and the same Python"
+        said = " ".join(str(error).split())[:_LONGEST]
+        raise ConfigError(f"--jobs {address}: cannot use the cluster: {said}; {advice}") from None
     try:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _require_head(address: str) -> None:
+    """Knock at the head of a cluster, if one is named: Ray itself waits for minutes.
+
+    Raises:
+        ConfigError: if nobody answers.
+    """
+    found = _HEAD.fullmatch(address)
+    if found is None:
+        if address.startswith(f"{RAY}://"):
+            raise ConfigError(f"--jobs: expected {RAY}://HOST:PORT, got {address}")
+        return  # auto, local, or nothing
+    try:
+        socket.create_connection((found[1].strip("[]"), int(found[2])), timeout=_KNOCK).close()
+    except (OSError, OverflowError) as error:
+        raise ConfigError(
+            f"--jobs: no head of a cluster at {address}: {getattr(error, 'strerror', '') or error};"
+            f" is it up, and the port of Ray's clients ({RAY}://) or of the head (RAY_ADDRESS)?"
+        ) from None
 
 
 def _lock_up() -> None:
@@ -243,4 +266,7 @@ def _lock_up() -> None:
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
 
 
+_HEAD = re.compile(r"(?:ray://)?([^/\s]+):(\d{1,6})")
+_KNOCK = 10.0  # s
+_LONGEST = 400
 _ALONE: dict[str, Any] = {"address": "local", "include_dashboard": False}

@@ -54,12 +54,28 @@ def save_arrays(path: Path, arrays: Mapping[str, Array], *, kind: str, meta: Jso
             name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()
         }
         save_file(whole, part, metadata={"kind": kind, "meta": json.dumps(meta)})
+        _put_in_order(part)
         _sync(part)
         os.replace(part, path)
         _sync(path.parent)
     except (OSError, SafetensorError) as error:
         part.unlink(missing_ok=True)
         raise StorageError(f"{path} cannot be written: {error}") from error
+
+
+def _put_in_order(path: Path) -> None:
+    """Sort the words in a file's header: the library writes them in an order of chance, and the
+    same policy shall have the same bytes.
+    """
+    with path.open("r+b") as stream:
+        size = int.from_bytes(stream.read(8), "little")
+        head = json.loads(stream.read(size))
+        words = dict(sorted(head.pop("__metadata__").items()))
+        whole = {"__metadata__": words, **head}
+        text = json.dumps(whole, separators=(",", ":"), ensure_ascii=False).encode()
+        assert len(text) <= size, "the library writes JSON as we do"
+        stream.seek(8)
+        stream.write(text.ljust(size))
 
 
 def load_arrays(path: Path, *, kind: str, most: int = MOST) -> Saved:

@@ -201,7 +201,7 @@ def _brief(error: BaseException) -> str:
 _LONGEST = 300
 _FAILED = re.compile(r"Error performing \w+ (\w+://[^/\s]+)\S* in \S+(?:, after (\d+) .*?)? - (.*)")
 _STATUS = re.compile(r"status code: (\d+ [A-Z][A-Za-z -]*[a-z])")
-_BODY = re.compile(r"<Code>([^<]*)</Code>\s*<Message>([^<]{0,200})")
+_BODY = re.compile(r"<Code>([^<]*)</Code>\s*<Message>(.{0,200}?)(?: RequestId:|<)")
 _REASONS = (
     ("Connection refused", "nobody listens there"),
     ("dns error", "there is no machine of that name"),

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 from coordlog.api.logs import load_logs
 from coordlog.cli import app
 from coordlog.commands import terminal
-from coordlog.errors import CoordlogError, SpecError, WorkerError
+from coordlog.errors import ConfigError, CoordlogError, SpecError, WorkerError
 from coordlog.parallel import mapped, shard, workers
 from coordlog.smooth.batch import plan
 
@@ -236,6 +236,24 @@ def test_what_is_not_there_is_said(logs: Path) -> None:
     assert "no such file or folder" in refusal("query", "select 1", "nothing")
     assert "has no catalogue yet" in refusal("query", "select 1", logs, "--no-scan")
     assert "--jobs: expected a number" in refusal("index", logs, "--jobs", "many")
+
+
+@pytest.mark.parametrize(
+    ("jobs", "head", "reason"),
+    [
+        ("ray://127.0.0.1:1", "", "no head of a cluster at ray://127.0.0.1:1: Connection refused"),
+        ("ray", "127.0.0.1:1", "no head of a cluster at 127.0.0.1:1: Connection refused"),
+        ("ray://127.0.0.1:999999", "", "no head of a cluster"),
+        ("ray://host:abc", "", "expected ray://HOST:PORT"),
+    ],
+)
+def test_a_cluster_that_is_not_there_is_said_at_once(
+    jobs: str, head: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", head)
+    with pytest.raises(ConfigError, match=reason):
+        list(mapped(abs, [1], jobs=jobs))
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

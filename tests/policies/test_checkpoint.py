@@ -38,6 +38,17 @@ def test_arrays_and_words_come_back_bit_for_bit(tmp_path: Path, rng: np.random.G
     assert [item.name for item in path.parent.iterdir()] == ["file.safetensors"]
 
 
+def test_the_same_arrays_have_the_same_bytes(tmp_path: Path) -> None:
+    """The library alone wrote its words in an order of chance."""
+    arrays, path = {"ß": np.arange(3.0), "a": np.zeros(2, np.uint8)}, tmp_path / "x.safetensors"
+    found = set()
+    for _ in range(20):
+        save_arrays(path, arrays, kind="policy", meta={"µ": 'a "b"\n', "x": [1, 2.5]})
+        found.add(path.read_bytes())
+    assert len(found) == 1
+    assert load_arrays(path, kind="policy").meta["µ"] == 'a "b"\n'
+
+
 def test_a_write_that_fails_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
