@@ -14,7 +14,7 @@ from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf.attached import require_size
 from coordlog.mjcf.demands import leave_out, some, switched, unknown_names
 from coordlog.mjcf.printing import Source, printed, refusal
-from coordlog.mjcf.servos import HINGE, SLIDE, make_servos
+from coordlog.mjcf.servos import HINGE, SLIDE, free_name, make_servos
 from coordlog.mjcf.soles import corners
 from coordlog.mjcf.source import spec_of
 from coordlog.robots.robot import Robot
@@ -35,6 +35,7 @@ BOX, SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
 LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
 SOLID: dict[str, Any] = {"condim": 3, "margin": 0, "gap": 0, "group": 0, "priority": 0}
 MARKER: dict[str, Any] = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0}
+OURS = ("sun", "front", "com", "com_velocity", "upright")
 SENSORS = {
     "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
     "up": mujoco.mjtSensor.mjSENS_FRAMEZAXIS,
@@ -212,20 +213,35 @@ def _base(spec: mujoco.MjSpec, robot: Robot) -> str:
     while body.parent is not None and body.parent.name != "world":
         body = body.parent
     if not body.name:
-        body.name = _free_name(spec.body, f"{robot.name}_base")
+        body.name = free_name(spec.body, f"{robot.name}_base")
     return str(body.name)
 
 
 def _name(spec: mujoco.MjSpec) -> None:
-    """Give every geom a name: what touches what is said by names."""
+    """Give every geom a name: what touches what is said by names. What nobody refers to gives way
+    to names of ours.
+    """
+    for things, lookup in (
+        (spec.sensors, spec.sensor),
+        (spec.lights, spec.light),
+        (spec.cameras, spec.camera),
+    ):
+        for thing in things:
+            if _is_ours(thing.name):
+                thing.name = free_name(lookup, f"{thing.name} of the model")
     for i, geom in enumerate(spec.worldbody.geoms):
         # MuJoCo reads the names of a tuple (_mark_own) as a list, parted by blanks
         plain = "_".join(geom.name.split()) or f"world_geom_{i}"
         if plain != geom.name:
-            _rename(spec, geom, _free_name(spec.geom, plain))
+            _rename(spec, geom, free_name(spec.geom, plain))
     for body in spec.bodies:
         for i, geom in enumerate(body.geoms):
-            geom.name = geom.name or _free_name(spec.geom, f"geom {i} of {body.name or 'a body'}")
+            geom.name = geom.name or free_name(spec.geom, f"geom {i} of {body.name or 'a body'}")
+
+
+def _is_ours(name: str) -> bool:
+    """Whether a sensor, a light or a camera of ours may have this name."""
+    return name in OURS or name.startswith(("palm_", "link_")) or "_corner_" in name
 
 
 def _rename(spec: mujoco.MjSpec, geom: Any, name: str) -> None:
@@ -306,10 +322,3 @@ def _sense(spec: mujoco.MjSpec, name: str, what: str, kind: Any, of: str) -> Non
 def _rounded(values: Any) -> list[float]:
     """Coordinates to twelve digits: sums such as 0.1 + 0.2 are meant as written."""
     return [float(f"{value + 0.0:.12g}") for value in values]
-
-
-def _free_name(lookup: Any, name: str) -> str:
-    i = 0
-    while lookup(name if not i else f"{name}_{i}") is not None:
-        i += 1
-    return name if not i else f"{name}_{i}"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 import mujoco
 
 from coordlog.robots.robot import Robot
 
+CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+ACTUATION = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -18,7 +21,15 @@ def unknown_names(spec: mujoco.MjSpec, robot: Robot) -> list[str]:
     """Joints and actuators that the robot's tables name and its model does not have."""
     joints = {joint.name for joint in spec.joints}
     actuators = {act.name or f"actuator {i}" for i, act in enumerate(spec.actuators)}
+    every = (spec.bodies, spec.joints, spec.geoms, spec.sites, spec.actuators)
     said = [
+        f"its model has the name {thing.name!r}, with a line break or another control character "
+        "in it: give it another"
+        for things in every
+        for thing in things
+        if CONTROL.search(thing.name)
+    ]
+    said += [
         f"arm '{arm.name}' has no joints: expected those that move its palm"
         for arm in robot.arms
         if not arm.joints and not robot.shared
@@ -46,6 +57,16 @@ def switched(spec: mujoco.MjSpec) -> list[str]:
         said.append(
             'its model switches contacts off (<flag contact="disable"/>), so no collision could be '
             "seen: take that out"
+        )
+    if spec.option.disableflags & ACTUATION:
+        said.append(
+            'its model switches actuators off (<flag actuation="disable"/>), so nothing would move '
+            "it: take that out"
+        )
+    if spec.option.disableactuator:
+        said.append(
+            "its model switches groups of actuators off (actuatorgroupdisable), whose servos would "
+            "do nothing: take that out"
         )
     if spec.option.enableflags & SLEEP:
         said.append(

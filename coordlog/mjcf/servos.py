@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -150,7 +151,7 @@ def _serve(
     """Put a position servo in a motor's place, or where there was none; the motor's limits stay."""
     limit = None
     if motor is None:
-        motor = spec.add_actuator(name=joint.name)
+        motor = spec.add_actuator(name=free_name(spec.actuator, joint.name))
     else:
         force = _force(motor)
         limit = None if force is None else np.sort(force * motor.gear[0])
@@ -168,6 +169,14 @@ def _serve(
         mujoco.mjtLimited.mjLIMITED_FALSE if limit is None else mujoco.mjtLimited.mjLIMITED_TRUE
     )
     motor.forcerange = [0.0, 0.0] if limit is None else limit
+
+
+def free_name(lookup: Callable[[str], Any], name: str) -> str:
+    """A name that nothing of a kind has yet: this one, or with a number behind it."""
+    i = 0
+    while lookup(name if not i else f"{name}_{i}") is not None:
+        i += 1
+    return name if not i else f"{name}_{i}"
 
 
 def _force(motor: mujoco._specs.MjsActuator) -> Array | None:

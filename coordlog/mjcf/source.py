@@ -19,8 +19,9 @@ import numpy as np
 
 from coordlog.errors import ConfigError
 from coordlog.mjcf.printing import Source, printed
+from coordlog.mjcf.servos import HINGE, SLIDE, free_name
 from coordlog.robots.robot import Arm, Robot
-from coordlog.strangers import what_is
+from coordlog.strangers import HEAD, recognise, what_is
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 FROM_GEOMS = 1
@@ -28,6 +29,7 @@ FROM_GEOMS = 1
 FROM_GEOMS_IF_NONE = 2
 ANCESTORS = 6
 """How many folders above a URDF its `package://` names are looked for in."""
+LFS = b"version https://git-lfs.github.com/"
 UNREADABLE = (".dae", ".glb", ".gltf", ".fbx", ".ply")
 """Mesh formats that MuJoCo has no decoder for."""
 
@@ -107,6 +109,7 @@ def _whole(key: _Key) -> Source:
             f"robot '{robot.name}': its model has a plugin, expected one that needs no library but "
             "MuJoCo: take the plugin out"
         )
+    _name_joints(spec)
     spec.compiler.fusestatic = False  # a base that is fused into the world would be an obstacle
     spec.compiler.discardvisual = False
     visual = drop_pictures(spec)
@@ -124,9 +127,18 @@ def _whole(key: _Key) -> Source:
         spec.assets = files
         spec.compile()
     except ValueError as error:
+        _refuse_meshes(spec, robot, files)
         raise _refused(robot, error) from error
     kept = {thing.file for thing in (*spec.meshes, *spec.hfields)}
     return Source(printed(spec), {name: data for name, data in files.items() if name in kept})
+
+
+def _name_joints(spec: mujoco.MjSpec) -> None:
+    """Give every hinge and slide a name: a card names the joints of an arm."""
+    for body in spec.bodies:
+        for i, joint in enumerate(body.joints):
+            if not joint.name and joint.type in (HINGE, SLIDE):
+                joint.name = free_name(spec.joint, f"joint {i} of {body.name or 'a body'}")
 
 
 def read_spec(robot: Robot) -> mujoco.MjSpec:
@@ -247,19 +259,70 @@ def files_of(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
             if data is None:
                 faults.append(
                     f"{kind} '{thing.name}' reads {name}, which is not in {_where(robot)}"
+                    + _otherwise(robot, name, folder)
                 )
+                continue
+            if data.startswith(LFS):
+                what = recognise(data)
+                faults.append(f"{kind} '{thing.name}' reads {name}, which is {what}")
                 continue
             if not thing.name:
                 thing.name = Path(name).stem
             thing.file = hashlib.sha256(data).hexdigest() + suffix
             found[thing.file] = data
     if faults:
-        raise ConfigError(
-            f"robot '{robot.name}': its model names files that cannot be read: {'; '.join(faults)}"
-        )
+        raise _unreadable(robot, faults)
     spec.meshdir = spec.texturedir = ""
     spec.strippath = False
     return found
+
+
+def _unreadable(robot: Robot, faults: list[str]) -> ConfigError:
+    return ConfigError(
+        f"robot '{robot.name}': its model names files that cannot be read: {'; '.join(faults)}"
+    )
+
+
+def _refuse_meshes(spec: mujoco.MjSpec, robot: Robot, files: Mapping[str, bytes]) -> None:
+    """Compile every mesh by itself, where a model does not compile.
+
+    Raises:
+        ConfigError: naming all meshes that MuJoCo refuses, with its reasons.
+    """
+    faults = []
+    for mesh in spec.meshes:
+        if mesh.file not in files:
+            continue
+        alone = mujoco.MjSpec()
+        alone.assets = {mesh.file: files[mesh.file]}
+        alone.add_mesh(name="mesh", file=mesh.file, scale=mesh.scale, inertia=mesh.inertia)
+        alone.worldbody.add_geom(type=MESH, meshname="mesh")
+        try:
+            alone.compile()
+        except ValueError as error:
+            head = files[mesh.file][:HEAD]
+            said = recognise(head, texts=False) or str(error).strip().splitlines()[0]
+            said = (
+                said.removeprefix("Error: ")
+                .replace(f"'{mesh.file}'", "it")
+                .replace(f"'{mesh.name}'", "it")
+            )
+            faults.append(f"mesh '{mesh.name}': {said}")
+    if faults:
+        raise _unreadable(robot, faults)
+
+
+def _otherwise(robot: Robot, name: str, folder: str) -> str:
+    """The file of that name in other letters, large or small, as a hint."""
+    base = robot.mjcf.parent if isinstance(robot.mjcf, Path) else robot.assets
+    if not isinstance(base, Path) or "://" in name:
+        return ""
+    for wanted in (base / folder / name, base / name):
+        if wanted.parent.is_dir():
+            for path in wanted.parent.iterdir():
+                if path.name.lower() == wanted.name.lower():
+                    return f" (there is {path.name}: large and small letters differ)"
+    return ""
 
 
 def _where(robot: Robot) -> str:

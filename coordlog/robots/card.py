@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,10 +130,10 @@ def as_card(robot: Robot, model: str, notes: Sequence[str] = ()) -> str:
         notes: Said at its head.
     """
     lines = [
-        f"# {note}"
+        f"# {''.join(each if each.isprintable() else ' ' for each in note)}"
         for note in (
             "A robot for coordlog: edit what is wrong, then",
-            f"  coordlog record --scene {robot.name}.toml",
+            f"coordlog record --scene {robot.name}.toml",
             *notes,
         )
     ]
@@ -170,7 +171,7 @@ def as_card(robot: Robot, model: str, notes: Sequence[str] = ()) -> str:
 
 
 def _text(value: str) -> str:
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key(value: str) -> str:

@@ -10,9 +10,10 @@ import numpy as np
 from coordlog.errors import CoordlogError
 from coordlog.mjcf import compile_model, compose, pack_source
 from coordlog.robots.robot import Robot
+from coordlog.sim.doubts import doubts
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.sampler import FEASIBLE
-from coordlog.sim.settling import doubts, faults, settle
+from coordlog.sim.settling import faults, settle
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import Scene
 

@@ -53,8 +53,8 @@ def make_env(
         ConfigError: for an unknown scene, pose, table or key, or a value out of range.
     """
     from coordlog.config import build, plain
+    from coordlog.sim.doubts import doubts as doubtful
     from coordlog.sim.env import BatchEnv, default_config
-    from coordlog.sim.settling import doubts as doubtful
     from coordlog.tasks.config import EnvConfig, RewardConfig
     from coordlog.tasks.registry import SAID
     from coordlog.tasks.scene import SCENES, find

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from coordlog.errors import ConfigError
+from coordlog.mjcf.demands import some
 from coordlog.mjcf.servos import HINGE, SLIDE, servos_of
 from coordlog.robots.robot import Arm
 from coordlog.sim.settling import FREE, moving
@@ -41,12 +42,19 @@ def chain(model: mujoco.MjModel, body: int) -> list[str]:
 
 def _driven(model: mujoco.MjModel, body: int, notes: list[str]) -> list[str]:
     """The chain of a body without joints that have no servo and are no part of an arm: slides
-    without a range, which are how somebody else moves the base, and joints that are damped so much
-    that they stand still.
+    without a range, which are how somebody else moves the base, joints that are damped so much
+    that they stand still, and those that an equality makes follow another.
     """
     found = []
     for name in chain(model, body):
         joint = model.joint(name).id
+        leader = follows(model, joint)
+        if leader and servos_of(model, [joint])[0] < 0:
+            said = (
+                f"{name} follows {leader} by an equality and has no servo: left out of the action"
+            )
+            notes += [said] * (said not in notes)
+            continue
         free = model.jnt_type[joint] == SLIDE and not model.jnt_limited[joint]
         damping = float(model.dof_damping[model.jnt_dofadr[joint]].max())
         fast = damping > FAST * float(model.body_subtreemass[model.jnt_bodyid[joint]])
@@ -61,6 +69,14 @@ def _driven(model: mujoco.MjModel, body: int, notes: list[str]) -> list[str]:
     return found
 
 
+def follows(model: mujoco.MjModel, joint: int) -> str:
+    """The joint that an equality makes this one follow; "" if none does."""
+    for tie in np.flatnonzero(model.eq_active0 & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT)):
+        if int(model.eq_obj1id[tie]) == joint and int(model.eq_obj2id[tie]) >= 0:
+            return str(model.joint(int(model.eq_obj2id[tie])).name)
+    return ""
+
+
 def arms_of(
     model: mujoco.MjModel, name: str, palms: Sequence[str], notes: list[str]
 ) -> tuple[tuple[Arm, ...], tuple[str, ...]]:
@@ -71,12 +87,10 @@ def arms_of(
     """
     missing = [palm for palm in palms if bearer(model, palm) < 0]
     if missing:
-        sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
         raise ConfigError(
             f"robot '{name}': expected a site or a body called '{missing[0]}' as a palm, found "
             "none; "
-            f"it has the sites {', '.join(sites) or '(none)'} and the bodies "
-            f"{', '.join(body_names(model))}"
+            f"it has the sites {some(site_names(model))} and the bodies {some(body_names(model))}"
         )
     chains = [_driven(model, bearer(model, palm), notes) for palm in palms]
     for palm, joints in zip(palms, chains, strict=True):
@@ -94,6 +108,11 @@ def arms_of(
             notes.append(f"{', '.join(common)} move several palms but not all: strike them out")
         arms.append(Arm(palm if len(palms) > 1 else "arm", palm, tuple(own)))
     return tuple(arms), tuple(shared)
+
+
+def site_names(model: mujoco.MjModel) -> list[str]:
+    """Names of the sites that have one."""
+    return [model.site(i).name for i in range(model.nsite) if model.site(i).name]
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:
@@ -115,13 +134,16 @@ def guess(model: mujoco.MjModel, notes: list[str]) -> list[str]:
         free = any(model.jnt_type[j] == FREE for j in joints)
         root = int(model.body_rootid[end])
         legs = free and data.xpos[end, 2] < data.xpos[root, 2] - FINGER
-        if len(chain(model, end)) >= ARM_JOINTS and not legs and not _is_head(model, end):
+        if not legs and not _is_head(model, end):
             arms.append(end)
+    # a small robot's arm has fewer joints than a large one's head
+    least = min(ARM_JOINTS, max((len(chain(model, end)) for end in arms), default=0))
+    arms = [end for end in arms if len(chain(model, end)) >= max(least, 1)]
     arms = [end for end in arms if _own(model, end, arms) >= min(ARM_JOINTS, _most(model, arms))]
     if not arms:
         raise ConfigError(
-            "no arm found in the model: name its palms, sites or bodies, with --palm; its bodies "
-            f"are {', '.join(body_names(model))}"
+            "no arm found in the model: name its palms, sites or bodies, with --palm; it has the "
+            f"sites {some(site_names(model))} and the bodies {some(body_names(model))}"
         )
     found = [_site(model, end) for end in arms]
     notes.append(f"palms guessed: {', '.join(found)}; name others with --palm")

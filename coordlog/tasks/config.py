@@ -129,7 +129,8 @@ class EnvConfig:
         if count < 1 or abs(count * timestep - self.control_period) > 1e-9:
             raise ConfigError(
                 f"control_period: expected a multiple of the model's timestep {timestep} s, got "
-                f"{self.control_period} s"
+                f"{self.control_period} s; give the model a timestep such as 0.002, or say "
+                f"control_period = {max(count, 1) * timestep:.6g} in the [env] of a --config file"
             )
         return count
 

@@ -137,8 +137,8 @@ AROUND: dict[str, dict[str, dict[str, Any]]] = {
         "env": {"control_period": 0.12, "max_steps": 50, "smoothing": 0.35},
         "reward": {"n1": 5.0, "n2": 20.0},
     },
-    # 17 decisions a second; a touch costs more than the longest way round: at 2.5 a decision it cost
-    # about as much, and was learnt.
+    # 17 decisions a second; a touch costs more than the longest way round: at 2.5 a decision it
+    # cost about as much, and was learnt.
     "agile": {
         "env": {"control_period": 0.06, "max_steps": 100, "smoothing": 0.585},
         "reward": {"n1": 8.0, "n2": 25.0},

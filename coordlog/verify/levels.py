@@ -8,7 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from coordlog.errors import FormatError, NewerError, StorageError, TruncatedError, unknown
+from coordlog.errors import (
+    ConfigError,
+    FormatError,
+    NewerError,
+    StorageError,
+    TruncatedError,
+    unknown,
+)
 from coordlog.monitor import Monitor
 from coordlog.parallel import batches, mapped, shard
 from coordlog.verify.finding import Finding
@@ -63,7 +70,7 @@ def check_logs(
         monitor: Hears of progress.
 
     Raises:
-        ConfigError: for an unknown level.
+        ConfigError: for an unknown level, or a share without an episode.
         FormatError: if there is no episode: a proof that looked at nothing is none.
         StorageError: if a path does not exist.
     """
@@ -74,6 +81,10 @@ def check_logs(
     heard = Monitor() if monitor is None else monitor
     files = find_files(paths)
     wanted = shard(files.paths, share)
+    if files.paths and not wanted:
+        raise ConfigError(
+            f"--shard {share}: none of {len(files.paths)} episodes is in it; take fewer shares"
+        )
     left_out = {str(item.path): f"{item.path}: {item.reason}" for item in files.skipped}
     total = Checked([], {}, 0, 0, skipped=left_out, unfinished=tuple(map(str, files.parts)))
     with heard.progress(f"checking ({level})", len(wanted)) as progress:

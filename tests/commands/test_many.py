@@ -222,6 +222,10 @@ def test_shares_of_the_work_make_the_whole(logs: Path) -> None:
         )
 
 
+def test_a_share_without_an_episode_proves_nothing(logs: Path) -> None:
+    assert "none of 4 episodes is in it" in refusal("check", logs, "--shard", "5/5")
+
+
 def test_recording_a_share_into_a_pack_gives_those_files_of_a_folder(tmp_path: Path) -> None:
     same = ("--scene", "free", "--policy", "random", "--episodes", 2, "--epoch", 1, "--envs", 1)
     answer("record", *same, "--out", tmp_path / "logs")

@@ -1,6 +1,7 @@
 """Robots as others write them: what their models mean is taken as MuJoCo means it, and what cannot
 work is said before anything is recorded, all at once."""
 
+import re
 import struct
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pytest
 from coordlog.episode import Header
 from coordlog.errors import ConfigError, SimulationError
 from coordlog.mjcf import compile_model, compose, load_attached, pack_source
+from coordlog.mjcf.source import whole
 from coordlog.robots.robot import Arm
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.examine import examine
@@ -289,6 +291,42 @@ def test_a_urdf_gets_servos_and_replays(tmp_path):
     assert replay([log])[0].columns["qpos"].tobytes() == np.stack(states).tobytes()
 
 
+@pytest.mark.parametrize(
+    ("file", "data", "said"),
+    [
+        ("m.stl", b"version https://git-lfs.github.com/spec/v1\noid", "m.stl, which is a Git LFS"),
+        ("m.stl", b"solid x\nfacet normal 0 0 1\n" * 9, "mesh 'm': stl_decoder"),
+        ("m.obj", b"<!DOCTYPE html><html>404</html>", "mesh 'm': a web page"),
+        ("M.OBJ", None, "M.OBJ, which is not in .* (there is m.obj: large and small letters"),
+    ],
+)
+def test_a_mesh_that_is_something_else_is_called_by_its_name(file, data, said, tmp_path):
+    (tmp_path / file.lower()).write_bytes(data or b"v 0 0 0\n")
+    asset = f'<asset><mesh name="m" file="{file}"/></asset>'
+    path = tmp_path / "model.xml"
+    path.write_text(text(asset=asset, fore='name="fore" type="mesh" mesh="m"'))
+    with pytest.raises(ConfigError) as told:
+        whole(robot(path))
+    parts = said.split(" .* ")
+    assert all(part in str(told.value) for part in parts)
+    assert not re.search("[0-9a-f]{64}", str(told.value))
+
+
+def test_names_that_coordlog_uses_are_no_ones_trouble():
+    """A light, a camera, sensors and an actuator as ours are called."""
+    env = BatchEnv(
+        scene(
+            world='<light name="sun"/><camera name="front"/>',
+            more='<sensor><framepos name="palm_arm" objtype="body" objname="fore"/></sensor>',
+            servo='<motor name="b" site="tip" gear="0 0 1 0 0 0"/>',
+            servo_gains={"b": (200.0, 5.0)},
+        ),
+        n=1,
+    )
+    assert env.task.model.sensor("palm_arm").objid[0] == env.task.model.site("tip").id
+    assert env.task.model.actuator("b_1").trnid[0] == env.task.model.joint("b").id
+
+
 def test_unreadable_meshes_and_plugins_are_named():
     dae = text(asset='<asset><mesh name="m" file="m.dae"/></asset>', fore=MESH["fore"])
     assert "m.dae, a format MuJoCo does not read" in faulty(
@@ -358,6 +396,8 @@ def test_a_geom_of_the_world_needs_no_name_and_may_have_blanks_in_it(name):
         ({"held": {"grip": 1.0}}, "held names the actuator 'grip'"),
         ({"servo_gains": {"c": (1.0, 1.0)}}, "servo_gains names the joint 'c'"),
         ({"ranges": {"c": (0.0, 1.0)}}, "ranges names the joint 'c'"),
+        ({"option": '<flag actuation="disable"/>'}, "switches actuators off"),
+        ({"world": '<site name="a&#10;b"/>'}, "with a line break or another control character"),
     ],
 )
 def test_what_would_go_wrong_without_a_word_is_said(changes, said):

@@ -2,12 +2,15 @@
 a log and back."""
 
 import json
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from coordlog.errors import ConfigError
 from coordlog.mjcf import compile_model, compose
+from coordlog.robots.card import as_card, robot_of
 from coordlog.robots.humanoid import HUMANOID
 from coordlog.robots.planar import PLANAR
 from coordlog.robots.robot import Arm, Robot
@@ -136,3 +139,9 @@ def test_a_pose_outside_a_range_is_named():
         match="robot 'planar': its pose 'stand' has left_1 at 3 rad, outside its range -2 to 2",
     ):
         start(poses={"stand": {"left_1": 3.0}})
+
+
+def test_a_name_of_any_letters_comes_back_from_a_card():
+    named = replace(PLANAR, name='a "b"\\ \x7f\t手')
+    again = robot_of(tomllib.loads(as_card(named, "m.xml")), Path())
+    assert again.name == named.name

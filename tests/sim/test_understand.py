@@ -9,7 +9,8 @@ import pytest
 
 from coordlog.errors import ConfigError
 from coordlog.mjcf import compile_model, compose
-from coordlog.sim.settling import doubts, faults, settle
+from coordlog.sim.doubts import doubts
+from coordlog.sim.settling import faults, settle
 from coordlog.sim.understand import understand
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import Scene
@@ -126,6 +127,55 @@ def test_what_flags_cannot_say_is_said(changes, said):
     model = compile_model(compose(where, EnvConfig()))
     assert said in " ".join(doubts(where.robot, model))
     assert doubts(robot(), compile_model(compose(scene(), EnvConfig()))) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"servo": '<position joint="b" kp="200" ctrlrange="-.1 .1"/>'},
+            "the servo of joint 'b' takes -0.1 to 0.1",
+        ),
+        (
+            {"more": '<equality><joint joint1="b" joint2="a"/></equality>'},
+            "an equality of the model keeps 'a', 'b' from moving freely",
+        ),
+        (
+            {"more": '<equality><connect body1="fore" anchor="0 0 .2"/></equality>'},
+            "an equality of the model keeps 'a', 'b' from moving freely",
+        ),
+        (
+            {
+                "more": '<tendon><fixed name="t"><joint joint="b" coef="1"/></fixed></tendon>',
+                "servo": '<position joint="b" kp="200"/><position name="t" tendon="t" kp="9"/>',
+            },
+            "actuator 't' is no joint's servo, is held, and holds 'b' with it",
+        ),
+    ],
+)
+def test_what_hinders_a_joint_of_the_action_is_said(changes, said):
+    spec = robot(**changes)
+    model = compile_model(compose(Scene("thing", "", spec), EnvConfig()))
+    assert [said in each for each in doubts(spec, model)] == [True]
+    free = compile_model(compose(Scene("thing", "", robot()), EnvConfig()))
+    assert doubts(robot(), free) == []
+
+
+def test_a_joint_that_follows_another_and_has_no_servo_is_no_arms(tmp_path):
+    (tmp_path / "m.xml").write_text(
+        text(servo="", more='<equality><joint joint1="b" joint2="a"/></equality>')
+    )
+    found = understand(tmp_path / "m.xml")
+    assert found.robot.arms[0].joints == ("a",)
+    assert "b follows a by an equality and has no servo: left out of the action" in found.notes
+
+
+def test_a_small_arm_is_an_arm_and_joints_without_names_get_one(tmp_path):
+    (tmp_path / "m.xml").write_text(text(servo="").replace('name="b"', ""))
+    found = understand(tmp_path / "m.xml")
+    assert found.robot.arms[0].palm == "tip"
+    assert found.robot.arms[0].joints == ("a", "joint 0 of fore")
+    assert set(found.robot.servo_gains) == {"joint 0 of fore"}
 
 
 def test_a_muscle_becomes_a_servo_without_its_limits():
