@@ -35,8 +35,9 @@ _RETRIES: Any = {
 class Bucket:
     """A prefix of an object store, such as s3://BUCKET/PREFIX; gs and az likewise.
 
-    Credentials come from the environment's standard places alone (AWS_ACCESS_KEY_ID and so on). An
-    object is read in one request and created in one, on the condition that there is none.
+    Credentials come from the environment's standard places (AWS_ACCESS_KEY_ID and so on); where
+    none are set, obstore asks the machine's metadata service. An object is read in one request and
+    created in one, on the condition that there is none.
 
     Example:
         >>> Bucket("s3://robots/logs").read("a.mcap")  # doctest: +SKIP
