@@ -43,7 +43,6 @@ def test_what_is_no_episode_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")
     assert "empty" in view(tmp_path / "empty.mcap", "--no-open", wanted=2).stderr
     assert "No such file" in view(tmp_path / "none.mcap", "--no-open", wanted=2).stderr
-    assert "one folder, or episodes" in view(DATA, TABLE[0], "--no-open", wanted=2).stderr
 
 
 def test_a_sibling_is_found_by_lineage_either_way(tmp_path: Path) -> None:
