@@ -26,7 +26,7 @@ from experiments.measure import SEED, SPLIT, figures, run
 
 FILE = Path(__file__).with_name("ablations.toml")
 EPISODES = 200
-LEARNT = 0.9
+LEARNT = 0.5
 """Clean share of an evaluation while training from which on a run counts as having learnt."""
 
 
