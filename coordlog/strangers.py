@@ -14,6 +14,8 @@ HEAD = 4096
 """Bytes that are enough to know a stranger by."""
 PARQUET = b"PAR1"
 """What a Parquet file begins with."""
+POINTER = b"version https://git-lfs.github.com/"
+"""What a pointer of Git LFS begins with."""
 
 _IMPORT = "`coordlog import` takes it"
 _ARRAYS = "read it in Python and give the arrays to coordlog.smooth.smooth"
@@ -35,7 +37,7 @@ _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"BZh", "compressed with bzip2: unpack it first (bunzip2)"),
     (b"\x04\x22\x4d\x18", "compressed with lz4: unpack it first (lz4 -d)"),
     (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive: unpack it first"),
-    (b"version https://git-lfs.github.com/", "a Git LFS pointer, not the file: run `git lfs pull`"),
+    (POINTER, "a Git LFS pointer, not the file: run `git lfs pull`"),
     (b"RRF", "a rerun recording (.rrd), not an episode: open it with `rerun`"),
     (b"\x89PNG", "a PNG picture, not an episode"),
     (b"%PDF", "a PDF document, not an episode"),

@@ -10,13 +10,13 @@ finished is not run again; experiments/tables/ablation-NAME.json holds those tha
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from coordlog.errors import CoordlogError
+from coordlog.train.metrics import read_metrics
 from experiments import cells, tables
 from experiments.actors import actor
 from experiments.cells import Tables
@@ -46,12 +46,11 @@ def learn(ladder: dict[str, Any], each: dict[str, Any], folder: Path, *, every: 
     )
 
 
-def measure(ladder: dict[str, Any], each: dict[str, Any], folder: Path) -> tables.Table:
+def measure(scene: str, each: dict[str, Any], folder: Path) -> tables.Table:
     """The best policy of a run on held-out problems, and when it had learnt."""
-    lines = (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
-    rows = [json.loads(line) for line in lines]
+    rows = read_metrics(folder / "metrics.jsonl")
     seen = [row for row in rows if row["kind"] == "evaluation"]
-    env = environment(ladder["scene"], str(folder), radius=RADII["3 cm"], torso="free", envs=ENVS)
+    env = environment(scene, str(folder), radius=RADII["3 cm"], torso="free", envs=ENVS)
     chosen, _ = actor(str(folder), env, shield=None)
     found = figures(run(env, chosen, episodes=EPISODES))
     kept = {key: found[key] for key in ("success", "clean", "collisions", "falls")}
@@ -59,7 +58,6 @@ def measure(ladder: dict[str, Any], each: dict[str, Any], folder: Path) -> table
         "name": each["name"],
         "change": each["change"],
         "learnt": next((row["step"] for row in seen if row["clean"] >= LEARNT), None),
-        "last": seen[-1]["clean"],
     } | kept
 
 
@@ -72,7 +70,7 @@ def series(name: str, folder: Path, *, every: int, only: list[str]) -> Path:
         if each["name"] in rows or (only and each["name"] not in only):
             continue
         learn(ladder, each, folder / each["name"], every=every)
-        rows[each["name"]] = measure(ladder, each, folder / each["name"])
+        rows[each["name"]] = measure(ladder["scene"], each, folder / each["name"])
         _write(name, ladder, rows)
         print(f"{each['name']}: {cells.share(rows[each['name']]['clean'])}", flush=True)
     return _write(name, ladder, rows)

@@ -21,7 +21,7 @@ from coordlog.errors import ConfigError
 from coordlog.mjcf.printing import Source, printed
 from coordlog.mjcf.servos import HINGE, SLIDE, free_name
 from coordlog.robots.robot import Arm, Robot
-from coordlog.strangers import HEAD, recognise, what_is
+from coordlog.strangers import HEAD, POINTER, recognise, what_is
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 FROM_GEOMS = 1
@@ -30,7 +30,6 @@ FROM_GEOMS_IF_NONE = 2
 ANCESTORS = 6
 """How many folders above a URDF its `package://` names are looked for in."""
 XACRO = "http://www.ros.org/wiki/xacro"
-LFS = b"version https://git-lfs.github.com/"
 UNREADABLE = (".dae", ".glb", ".gltf", ".fbx", ".ply")
 """Mesh formats that MuJoCo has no decoder for."""
 
@@ -277,7 +276,7 @@ def files_of(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
                     + _otherwise(robot, name, folder)
                 )
                 continue
-            if data.startswith(LFS):
+            if data.startswith(POINTER):
                 what = recognise(data)
                 faults.append(f"{kind} '{thing.name}' reads {name}, which is {what}")
                 continue

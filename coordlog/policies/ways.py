@@ -56,7 +56,7 @@ def postures(reach: Reach) -> list[Array]:
 def known_ways(task: BoundTask) -> list[list[Array]]:
     """Known ways from arms hanging to hands in front, as lists of via postures.
 
-    None for a robot with other joints.
+    For a robot with other joints the one way that is straight: no via posture.
     """
     joints = task.robot.action_joints
     if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):

@@ -35,7 +35,7 @@ def test_names_are_unique() -> None:
 
 def test_a_run_that_never_learnt_says_so() -> None:
     none = rate(0, 200)
-    row = {"name": "rates", "change": "rates 1e-4", "learnt": None, "last": 0.0}
+    row = {"name": "rates", "change": "rates 1e-4", "learnt": None}
     row |= dict.fromkeys(("success", "clean", "falls"), none)
     problems = {"seed": 1, "split": "test", "episodes": 200}
     text = ablation.section(
