@@ -53,7 +53,7 @@ def render(found: Tables) -> str:
     parts += [f"## {scene.capitalize()}\n\n{scene_table(found, scene)}" for scene in tables.SCENES]
     parts += [
         stops.section(found),
-        *([text] if (text := ablation.section(found)) else []),
+        ablation.section(found),
         torso.section(found),
         planning.section(found),
         claims.section(found),
