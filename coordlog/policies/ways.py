@@ -19,6 +19,8 @@ STRANGE = 12
 """Random postures that are tried where no other finds nearly all of them."""
 NEARLY = 0.97
 """Share of them that nearly all are."""
+STRAIGHT = 0.8
+"""A robot goes straight where so many of its ways are clear of itself: a way around is longer."""
 VIAS = 12
 """Postures that are tried as a way's first end where straight ways touch the robot too often."""
 
@@ -60,7 +62,7 @@ def surveyed(reach: Reach, rng: np.random.Generator) -> list[Array]:
 def found_ways(
     task: BoundTask, reach: Reach, seeds: list[Array], *, own: float
 ) -> list[list[Array]]:
-    """The one way that a robot goes whose ways nobody knows: straight if nearly all goals can be
+    """The one way that a robot goes whose ways nobody knows: straight if most goals can be
     reached so without coming close to itself, else by way of one posture.
 
     One and the same for every goal: a detour that is drawn anew for each cannot be learnt.
@@ -85,7 +87,7 @@ def found_ways(
         return float(np.mean([reach.free(by, end, clearance=0.0, own=own) for end in ends]))
 
     best: list[Array] = []
-    if not ends or (most := share(best)) >= NEARLY:
+    if not ends or (most := share(best)) >= STRAIGHT:
         return [best]
     middle, fast = np.mean(ends, axis=0), task.speeds / task.speeds.max()
     for towards in [middle, *ends[:VIAS]]:
