@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from coordlog.episode import Array
-from coordlog.kinematics.ik import obstacles
+from coordlog.kinematics.pairs import obstacles
 from coordlog.sim.env import BatchEnv
 
 FAR = 2.0

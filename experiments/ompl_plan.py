@@ -14,7 +14,7 @@ import numpy as np
 from ompl import base, geometric, util
 
 from coordlog.episode import Array
-from coordlog.kinematics.ik import obstacles
+from coordlog.kinematics.pairs import obstacles
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import sole_corner
 from experiments.case import Case

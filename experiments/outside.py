@@ -196,7 +196,8 @@ def go(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[str
     smooth = run("smooth", logs, "--out", work / f"{robot.name}-smooth", "--json")
     line.append(f"{len(list((work / f'{robot.name}-smooth').glob('*.mcap')))} of {len(kept)}")
     policy = work / f"{robot.name}-run"
-    trained = run("train", "--from", logs, "--scene", card, "--updates", UPDATES, "--out", policy)
+    learning = ("--updates", UPDATES, "--eval-every", 0, "--out", policy)
+    trained = run("train", "--from", logs, "--scene", card, *learning)
     line.append("yes" if not trained.code else "no")
     failed = [each.said for each in (rest, checked, smooth, trained) if each.code]
     return ended("; ".join(failed))

@@ -15,8 +15,10 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.kinematics.balance import support_margin
+from coordlog.kinematics.levers import Levers
+from coordlog.kinematics.pairs import below, obstacles
 from coordlog.robots.robot import Robot
-from coordlog.tasks.scene import ROBOT_IN_WORLD, sole_corner, sphere_geom
+from coordlog.tasks.scene import sole_corner, sphere_geom
 
 ITERATIONS = 60
 DAMPING = 0.03
@@ -34,6 +36,8 @@ FAR = 0.14
 BESIDE = 0.05
 """The same for links that are not an arm's last one, and for arms beside the robot itself, as far
 as MARGIN goes [m]."""
+JOINTED = 3
+"""Links with fewer action joints between them stand close by design, and keep no distance."""
 UPRIGHT = 1e-3
 """Sine of a lean below which it has no direction."""
 SHARED_EFFORT = 2.0
@@ -84,12 +88,15 @@ class Reach:
         self._obstacles = obstacles(self._model)
         self._solid = set(self._obstacles.tolist())
         self._wide = copy(model)
+        levers = Levers(model)
+        self._above = [levers.above(int(body)) for body in model.geom_bodyid]
         self._tip_geoms = self._set_margins(robot)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = standing
         joints = [model.joint(name) for name in robot.action_joints]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        self._driven = frozenset(joint.id for joint in joints)
         self._sites = [model.site(arm.palm).id for arm in robot.arms]
         self._corners = [
             model.site(sole_corner(sole, i)).id for sole in robot.soles for i in range(4)
@@ -112,11 +119,14 @@ class Reach:
         """The pair of geoms that the last `touches` found."""
 
     def _set_margins(self, robot: Robot) -> set[int]:
-        """Have contacts listed before anything touches; the geoms of the arms' last links."""
+        """Have contacts listed before anything touches; the geoms of the arms' last links, fingers
+        among them.
+        """
         model = self._model
         last = [int(model.site(arm.palm).bodyid[0]) for arm in robot.arms]
-        tips = np.isin(model.geom_bodyid, last)
-        arms = np.isin(model.geom_bodyid, [*last, *model.body_parentid[last]])
+        held = last + below(model, last)
+        tips = np.isin(model.geom_bodyid, held)
+        arms = np.isin(model.geom_bodyid, [*held, *model.body_parentid[last]])
         for own, far, links in (self._model, MARGIN, tips), (self._wide, FAR, arms):
             own.geom_margin[self._obstacles] = far
             own.geom_margin[links] = MARGIN  # those of the arms with the rest of the robot
@@ -141,7 +151,7 @@ class Reach:
             contact.geom.tolist(), contact.dist.tolist(), contact.frame, contact.pos, strict=True
         ):
             tip, solid = not self._tip_geoms.isdisjoint(pair), not self._solid.isdisjoint(pair)
-            if frozenset(pair) in self._resting:
+            if frozenset(pair) in self._resting or not (solid or self._apart(*pair)):
                 continue
             if self._sole_geoms.isdisjoint(pair) and gap < (FAR if tip and solid else BESIDE):
                 first, second = (self._rate(place, frame[:3], geom) for geom in pair)
@@ -192,18 +202,24 @@ class Reach:
         Args:
             angles: Joint angles, (n_u,) [rad].
             clearance: Distance kept from obstacles, at most MARGIN [m].
-            own: Distance that the arms' last links keep from the rest of the robot, at most MARGIN
-                [m].
+            own: Distance that the arms' last links and fingers keep from the rest of the robot, at
+                most MARGIN [m].
         """
         self.palms(angles)
         mujoco.mj_collision(self._model, self._data)
         contact = self._data.contact
         for pair, distance in zip(contact.geom.tolist(), contact.dist, strict=True):
             near = distance < (own if self._solid.isdisjoint(pair) else clearance)
+            if distance >= 0.0 and not (self._solid & set(pair) or self._apart(*pair)):
+                continue
             if near and self._sole_geoms.isdisjoint(pair) and frozenset(pair) not in self._resting:
                 self.met = (pair[0], pair[1])
                 return True
         return False
+
+    def _apart(self, one: int, other: int) -> bool:
+        """Whether the joints between two geoms could keep them apart."""
+        return len((self._above[one] ^ self._above[other]) & self._driven) >= JOINTED
 
     def legal(self, angles: Array, *, clearance: float = 0.0) -> bool:
         """No touch (as `touches`), and the centre of mass over the feet."""
@@ -216,13 +232,13 @@ class Reach:
         corners[:, 2] -= corners[:, 2].min()  # the base stands still: the soles are on the floor
         return bool(support_margin(self._data.subtree_com[self._base, :2], corners) > self._margin)
 
-    def free(self, start: Array, end: Array, *, clearance: float) -> bool:
+    def free(self, start: Array, end: Array, *, clearance: float, own: float = 0.0) -> bool:
         """The straight joint path from `start` (exclusive) to `end` touches nothing and keeps
-        `clearance` from obstacles.
+        `clearance` from obstacles, and `own` from the robot itself as in `touches`.
         """
         count = max(int(np.ceil(np.abs(end - start).max() / RESOLUTION)), 1)
         return not any(
-            self.touches(start + (end - start) * (i / count), clearance=clearance)
+            self.touches(start + (end - start) * (i / count), clearance=clearance, own=own)
             for i in range(1, count + 1)
         )
 
@@ -280,18 +296,3 @@ class Reach:
             mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
             rows.append(self._jacobian[:, self._dofs])
         return np.concatenate(rows)
-
-
-def obstacles(model: mujoco.MjModel) -> Array:
-    """Ids of the solid geoms of the world that are not the floor and not the robot's own: panels
-    and spheres.
-    """
-    bodies = model.geom_bodyid
-    still = (bodies == 0) | (model.body_mocapid[bodies] >= 0)
-    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
-    if own >= 0:
-        first = int(model.tuple_adr[own])
-        still[model.tuple_objid[first : first + int(model.tuple_size[own])]] = False
-    return np.flatnonzero(
-        still & (model.geom_contype > 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
-    )

@@ -1,4 +1,4 @@
-"""Which geoms of a model can meet at all, by MuJoCo's own rules."""
+"""Which geoms of a model can meet at all, by MuJoCo's own rules, and which are of what."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.kinematics.levers import Levers
+from coordlog.tasks.scene import ROBOT_IN_WORLD
 
 NEIGHBOURS = 2
 """Bodies of the robot this many links apart, or fewer, stand close by design: they must not touch,
@@ -119,3 +120,27 @@ def distance_bounds(
             outside = np.maximum(np.abs(away) - model.geom_size[geom], 0.0)
             bound[:, columns] = np.linalg.norm(outside, axis=2) - model.geom_rbound[other]
     return np.asarray(bound)
+
+
+def below(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+    """Bodies that others carry, as ids."""
+    found = list[int]()
+    for body in range(1, model.nbody):  # after what carries it
+        if int(model.body_parentid[body]) in {*bodies, *found}:
+            found.append(body)
+    return found
+
+
+def obstacles(model: mujoco.MjModel) -> Array:
+    """Ids of the solid geoms of the world that are not the floor and not the robot's own: panels
+    and spheres.
+    """
+    bodies = model.geom_bodyid
+    still = (bodies == 0) | (model.body_mocapid[bodies] >= 0)
+    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
+    if own >= 0:
+        first = int(model.tuple_adr[own])
+        still[model.tuple_objid[first : first + int(model.tuple_size[own])]] = False
+    return np.flatnonzero(
+        still & (model.geom_contype > 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
+    )

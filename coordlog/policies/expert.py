@@ -10,7 +10,7 @@ stands on its own feet. Goals that move are followed from where it arrives.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from coordlog.episode import Array
 from coordlog.errors import ConfigError
 from coordlog.kinematics.ik import Reach
 from coordlog.policies.avoidance import DamperConfig, farthest, require_positive, turned
-from coordlog.policies.ways import known_ways, postures
+from coordlog.policies.ways import found_ways, known_ways, postures
 from coordlog.sim.task import BoundTask
 
 
@@ -43,6 +43,9 @@ class ExpertConfig:
     """Share of the palm error that the last way point takes up per step."""
     clearances: tuple[float, ...] = (0.03, 0.02, 0.01, 0.0)
     """Clearances that a way is tried with, the first that fits [m]."""
+    own: tuple[float, ...] = (0.015, 0.0)
+    """Clearances of last links and fingers from the robot itself that a way is tried with where the
+    robot's ways are not known beforehand [m]."""
     sliding: tuple[float, ...] = (0.015, 0.0)
     """Clearances that a way past spheres is tried with, from other links than those that slide and
     from the robot itself [m]."""
@@ -64,8 +67,9 @@ class ExpertConfig:
 
     def __post_init__(self) -> None:
         require_positive(self, besides=("correction", "restarts", "tries", "spread"))
-        if not self.clearances:
-            raise ConfigError("clearances: expected at least one, got none")
+        for name in ("clearances", "own"):
+            if not getattr(self, name):
+                raise ConfigError(f"{name}: expected at least one, got none")
 
 
 @dataclass
@@ -114,7 +118,11 @@ class Expert:
             self._moves, task.speeds * task.config.control_period, 1.0
         )  # (n_u,) rad per step at action 1
         self._ways = known_ways(task)
+        self._own: tuple[float, ...] = (0.0,)
         self._seeds = [way[-1] for way in self._ways if way] or postures(reach)
+        if not self._ways:
+            self._own = self._config.own
+            self._ways = found_ways(task, reach, self._seeds, own=self._own[0])
 
     def begin(self, ids: Array, state: Array, rngs: list[np.random.Generator]) -> None:
         """Plan a way for each slot."""
@@ -215,9 +223,9 @@ class Expert:
                 for way in direct + known:
                     if self._slides(start, way, goals, clearance):
                         return way
-        for clearance in self._config.clearances:
+        for own, clearance in product(self._own, self._config.clearances):
             for way in known:
-                if self._clear([start, *way], clearance):
+                if self._clear([start, *way], clearance, own):
                     return way
         low, high = self._task.limits.T
         spread = (
@@ -231,7 +239,7 @@ class Expert:
             moved = [bent(via) for via in ways[0]]
             for end in ends:
                 vias = moved or [bent((start + end) / 2)]  # about the middle of the straight way
-                if self._clear([start, *vias, end], self._config.clearances[-1]):
+                if self._clear([start, *vias, end], self._config.clearances[-1], self._own[-1]):
                     return [*vias, end]
         return [*ways[0], ends[0]]
 
@@ -275,5 +283,6 @@ class Expert:
                 return False
         return False
 
-    def _clear(self, points: list[Array], clearance: float) -> bool:
-        return all(self._reach.free(a, b, clearance=clearance) for a, b in pairwise(points))
+    def _clear(self, points: list[Array], clearance: float, own: float) -> bool:
+        every = pairwise(points)
+        return all(self._reach.free(a, b, clearance=clearance, own=own) for a, b in every)

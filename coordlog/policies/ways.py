@@ -12,16 +12,15 @@ from coordlog.sim.task import BoundTask
 from coordlog.tasks.goals import MIDDLE, anywhere
 
 VIA_JOINTS = ("shoulder_x", "shoulder_y", "arm_z", "elbow_y")
-"""Joints of each side that the known via poses bend.
-
-A robot that lacks one goes straight to its goals.
-"""
+"""Joints of each side that the known via poses bend."""
 SURVEYED = 64
 """Goals that postures are judged by."""
 STRANGE = 12
 """Random postures that are tried where no other finds nearly all of them."""
 NEARLY = 0.97
 """Share of them that nearly all are."""
+VIAS = 12
+"""Postures that are tried as a way's first end where straight ways touch the robot too often."""
 
 
 def postures(reach: Reach) -> list[Array]:
@@ -33,8 +32,7 @@ def postures(reach: Reach) -> list[Array]:
     ten may get stuck at the limits of joints that were turned the wrong way.
     """
     rng = np.random.default_rng(0)
-    drawn = [anywhere(rng, reach) for _ in range(SURVEYED)]
-    goals = [goal for goal in drawn if goal is not None]
+    goals = surveyed(reach, rng)
     if not goals or np.mean([reach.solve(goal) is not None for goal in goals]) >= NEARLY:
         return []
     middle, half = reach.limits.mean(axis=1), np.ptp(reach.limits, axis=1) / 2
@@ -53,14 +51,57 @@ def postures(reach: Reach) -> list[Array]:
     return chosen
 
 
-def known_ways(task: BoundTask) -> list[list[Array]]:
-    """Known ways from arms hanging to hands in front, as lists of via postures.
+def surveyed(reach: Reach, rng: np.random.Generator) -> list[Array]:
+    """Goals like those of an episode."""
+    drawn = [anywhere(rng, reach) for _ in range(SURVEYED)]
+    return [goal for goal in drawn if goal is not None]
 
-    For a robot with other joints the one way that is straight: no via posture.
+
+def found_ways(
+    task: BoundTask, reach: Reach, seeds: list[Array], *, own: float
+) -> list[list[Array]]:
+    """The one way that a robot goes whose ways nobody knows: straight if nearly all goals can be
+    reached so without coming close to itself, else by way of one posture.
+
+    One and the same for every goal: a detour that is drawn anew for each cannot be learnt.
+
+    Args:
+        task: Joint speeds; slow joints take part in a detour by as much less.
+        reach: Kinematics; the ways begin where the robot stands.
+        seeds: Postures that goals are searched from; without any, the robot's named ones.
+        own: Clearance of last links and fingers from the robot itself [m].
+    """
+    start, ends = reach.standing_angles, list[Array]()
+    begun: list[Array | None] = [*seeds] or [None]
+    for goal in surveyed(reach, np.random.default_rng(0)):
+        found = (reach.solve(goal, seed=seed) for seed in begun)
+        ends += [end for end in found if end is not None][:1]
+
+    def share(way: list[Array]) -> float:
+        """Of the ends that are reached this way."""
+        if way and not reach.free(start, way[0], clearance=0.0, own=own):
+            return 0.0
+        by = [start, *way][-1]
+        return float(np.mean([reach.free(by, end, clearance=0.0, own=own) for end in ends]))
+
+    best: list[Array] = []
+    if not ends or (most := share(best)) >= NEARLY:
+        return [best]
+    middle, fast = np.mean(ends, axis=0), task.speeds / task.speeds.max()
+    for towards in [middle, *ends[:VIAS]]:
+        via = start + fast * ((middle + towards) / 2 - start)
+        if most < NEARLY and (reached := share([via])) > most:
+            best, most = [via], reached
+    return [best]
+
+
+def known_ways(task: BoundTask) -> list[list[Array]]:
+    """Known ways from arms hanging to hands in front, as lists of via postures; none for a robot
+    with other joints.
     """
     joints = task.robot.action_joints
     if not {f"{side}_{name}" for side in "lr" for name in VIA_JOINTS} <= set(joints):
-        return [[]]
+        return []
 
     def posture(**degrees: float) -> Array:
         angles = np.zeros(len(joints))

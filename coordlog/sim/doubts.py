@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mujoco
 import numpy as np
 
@@ -78,7 +80,7 @@ def _hindered(robot: Robot, model: mujoco.MjModel, action: set[int]) -> list[str
                     f"{low:.3g} to {high:.3g}: goals beyond are out of reach; say the joint's "
                     "range, or widen ctrlrange"
                 )
-    return said + _tied_down(model, action) + _pulled(model, action)
+    return said + _tied_down(model, action) + _roped(model, action) + _pulled(model, action)
 
 
 def _tied_down(model: mujoco.MjModel, action: set[int]) -> list[str]:
@@ -101,6 +103,64 @@ def _tied_down(model: mujoco.MjModel, action: set[int]) -> list[str]:
             names = ", ".join(f"'{model.joint(joint).name}'" for joint in sorted(driven))
             said.append(f"an equality of the model keeps {names} from moving freely")
     return said
+
+
+def _roped(model: mujoco.MjModel, action: set[int]) -> list[str]:
+    """Tendons that stop joints of the action, or pull on them."""
+    said = []
+    tied = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & model.eq_active0])
+    for tendon in range(model.ntendon):
+        held = _along(model, tendon) & action
+        why = [
+            word
+            for word, so in (
+                ("is limited to {:.3g} to {:.3g}".format(*model.tendon_range[tendon]),
+                 bool(model.tendon_limited[tendon]) and _can_stop(model, tendon)),
+                ("is a spring", np.any(model.tendon_stiffness[tendon])),
+                ("is tied by an equality", tendon in tied),
+            )
+            if so
+        ]  # fmt: skip
+        if held and why:
+            name = model.tendon(tendon).name or f"tendon {tendon}"
+            names = ", ".join(f"'{model.joint(joint).name}'" for joint in sorted(held))
+            said.append(
+                f"tendon '{name}' {' and '.join(why)}, and keeps {names} from moving freely: "
+                "neither goals nor the scripted expert reckon with it"
+            )
+    return said
+
+
+def _along(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Joints that change a tendon's length."""
+    first = int(model.tendon_adr[tendon])
+    parts = range(first, first + int(model.tendon_num[tendon]))
+    kinds, what = model.wrap_type, model.wrap_objid
+    fixed = {int(what[i]) for i in parts if kinds[i] == mujoco.mjtWrap.mjWRAP_JOINT}
+    through = [
+        moving(model, int(model.site_bodyid[what[i]]))
+        for i in parts
+        if kinds[i] == mujoco.mjtWrap.mjWRAP_SITE
+    ]
+    for one, other in pairwise(through):
+        fixed |= one ^ other
+    return fixed
+
+
+def _can_stop(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether joints within their ranges can bring a tendon to its limits; of one that runs through
+    sites, nobody knows.
+    """
+    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+    parts = slice(first, first + count)
+    joints = model.wrap_objid[parts]
+    if (model.wrap_type[parts] != mujoco.mjtWrap.mjWRAP_JOINT).any():
+        return True
+    if not model.jnt_limited[joints].all():
+        return True
+    ends = np.sort(model.wrap_prm[parts, None] * model.jnt_range[joints], axis=1).sum(axis=0)
+    low, high = model.tendon_range[tendon]
+    return bool(ends[0] < low or ends[1] > high)
 
 
 def _pulled(model: mujoco.MjModel, action: set[int]) -> list[str]:

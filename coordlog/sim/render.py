@@ -16,7 +16,7 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import SimulationError, StorageError, unknown
-from coordlog.kinematics.ik import obstacles
+from coordlog.kinematics.pairs import obstacles
 from coordlog.mjcf.dressed import load_dressed, show_hidden
 from coordlog.robots.robot import Robot
 from coordlog.sim.env import BatchEnv

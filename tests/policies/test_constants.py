@@ -53,6 +53,7 @@ def test_the_damper_is_logged_where_one_acts() -> None:
         ("expert", {"policy": {"gain": 2.0}}, "policy.gain_steps"),
         ("expert", {"policy": {"arrived": 0.0}}, "arrived: expected a number above 0"),
         ("expert", {"policy": {"clearances": []}}, "expected at least one"),
+        ("expert", {"policy": {"own": []}}, "own: expected at least one"),
         ("expert", {"policy": {"patience": 2.5}}, "policy.patience: expected a whole number"),
         ("expert", {"damper": {"closing": 2.0}}, "expected a share up to 1"),
         ("random", {"policy": {"correlation": 1.0}}, "a correlation in"),

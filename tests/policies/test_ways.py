@@ -1,9 +1,13 @@
-"""Goals are searched from postures that find them, so that an expert ends alike in like problems."""
+"""Goals are searched from postures that find them, and ways go round the robot itself by one and
+the same posture, so that an expert acts alike in like problems.
+"""
+
+from itertools import pairwise
 
 import numpy as np
 
 from coordlog.policies.expert import Expert
-from coordlog.policies.ways import postures
+from coordlog.policies.ways import found_ways, postures
 from coordlog.robots.robot import Arm, Robot
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.goals import anywhere
@@ -75,3 +79,59 @@ def test_an_expert_ends_in_postures_of_its_goals_not_of_chance():
 
 def test_a_robot_whose_poses_find_its_goals_is_left_alone():
     assert postures(BatchEnv(SCENES["planar"], n=1, threads=1).draw.reach) == []
+
+
+POST = """
+    <body name="post" pos="0.15 0.25 0.6"><geom type="box" size="0.15 0.05 0.3"/></body>"""
+"""Of the robot, in the straight way of many an arm."""
+FINGER = """
+        <body name="finger" pos="0 0 -0.3">
+          <joint name="grip" axis="1 0 0" range="0 1"/>
+          <geom name="finger" fromto="0 0 -0.02 0 0 -0.08" size="0.01"/>
+        </body>"""
+
+
+def beside_a_post() -> BatchEnv:
+    mjcf = HANGING.replace("<worldbody>", f"<worldbody>{POST}")
+    mjcf = mjcf.replace('<site name="palm"', f'{FINGER}<site name="palm"')
+    arm = Arm("arm", palm="palm", joints=JOINTS)
+    poses = {"stand": {"spread": -0.1, "elbow": 0.3}}
+    robot = Robot("hanging", mjcf, (arm,), poses=poses, centre=(0.0, 0.0, 1.0), reach=0.6)
+    return BatchEnv(Scene("post", "Anywhere", robot), n=1, threads=1)
+
+
+def clear(reach, way, *, own):
+    return all(reach.free(a, b, clearance=0.0, own=own) for a, b in pairwise(way))
+
+
+def test_where_straight_ways_touch_the_robot_one_posture_leads_around_for_all_goals():
+    env = beside_a_post()
+    reach, own = env.draw.reach, 0.015
+    expert = Expert(env.task, reach, 1)
+    ((via,),) = expert._ways
+    rng = np.random.default_rng(7)  # goals that nothing was chosen by
+    ends = [expert._ends(anywhere(rng, reach), rng, None)[0] for _ in range(100)]
+    start = reach.standing_angles
+    straight, around = (
+        np.mean([clear(reach, [start, *by, end], own=own) for end in ends]) for by in ([], [via])
+    )
+    assert straight < 0.5
+    assert around > 0.95
+
+
+def test_a_robot_whose_straight_ways_are_free_goes_straight():
+    env = hanging()
+    assert found_ways(env.task, env.draw.reach, [], own=0.015) == [[]]
+
+
+def test_a_finger_keeps_its_distance_from_the_robot_but_not_from_the_hand_it_is_on():
+    reach = beside_a_post().draw.reach
+    spread = np.linspace(-3.3, 0.1, 800)
+    touching, near = (
+        [reach.touches(np.array([0.0, a, 0.0, 0.0]), own=own) for a in spread]
+        for own in (0.0, 0.02)
+    )
+    assert 0 < sum(touching) < sum(near) < len(spread)
+    assert all(close for close, touch in zip(near, touching, strict=True) if touch)
+    finger = reach._model.geom("finger").id
+    assert reach._tip_geoms >= {finger}

@@ -16,6 +16,14 @@ from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import Scene
 from tests.robots.outside import robot, scene, text
 
+TENDON = (
+    '<tendon><fixed name="t" {}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed>'
+    "</tendon>"
+)
+ROPE = (
+    '<tendon><spatial name="rope" limited="true" range="0 .5"><site site="root"/>'
+    '<site site="tip"/></spatial></tendon>'
+)
 LEG = """
 <body name="{s}_thigh" pos="-0.2 {y} 0"><joint name="{s}_hip" axis="0 1 0" range="-1 1"/>
   <geom type="capsule" size=".04" fromto="0 0 0 0 0 -.3" mass="1"/>
@@ -151,6 +159,24 @@ def test_what_flags_cannot_say_is_said(changes, said):
             },
             "actuator 't' is no joint's servo, is held, and holds 'b' with it",
         ),
+        (
+            {"more": TENDON.format('limited="true" range="-1 .1"')},
+            "tendon 't' is limited to -1 to 0.1, and keeps 'a', 'b' from moving freely",
+        ),
+        (
+            {"more": TENDON.format('stiffness="20"')},
+            "tendon 't' is a spring, and keeps 'a', 'b' from moving freely",
+        ),
+        (
+            {
+                "more": TENDON.format("") + '<equality><tendon tendon1="t"/></equality>',
+            },
+            "tendon 't' is tied by an equality, and keeps 'a', 'b' from moving freely",
+        ),
+        (
+            {"more": ROPE, "world": '<site name="root"/>'},
+            "tendon 'rope' is limited to 0 to 0.5, and keeps 'a', 'b' from moving freely",
+        ),
     ],
 )
 def test_what_hinders_a_joint_of_the_action_is_said(changes, said):
@@ -159,6 +185,11 @@ def test_what_hinders_a_joint_of_the_action_is_said(changes, said):
     assert [said in each for each in doubts(spec, model)] == [True]
     free = compile_model(compose(Scene("thing", "", robot()), EnvConfig()))
     assert doubts(robot(), free) == []
+
+
+def test_a_tendon_that_no_joint_can_stretch_to_its_limit_is_no_hindrance():
+    spec = robot(more=TENDON.format('limited="true" range="-99 99"'))
+    assert doubts(spec, compile_model(compose(Scene("thing", "", spec), EnvConfig()))) == []
 
 
 def test_a_joint_that_follows_another_and_has_no_servo_is_no_arms(tmp_path):

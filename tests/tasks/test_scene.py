@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coordlog.errors import ConfigError, SimulationError
-from coordlog.kinematics.ik import obstacles
+from coordlog.kinematics.pairs import obstacles
 from coordlog.mjcf import compile_model, compose
 from coordlog.tasks.config import EnvConfig
 from coordlog.tasks.scene import SCENES, find, sphere_geom
