@@ -187,11 +187,13 @@ def test_files_beside_logs_go_where_logs_go(logs, tmp_path):
 
 
 def test_what_lies_above_is_found_and_not_kept_again(tmp_path):
-    keep(tmp_path, {"a.zst": b"a"})
+    one, other, none = (f"{letter * 64}.msh.zst" for letter in "abc")
+    keep(tmp_path, {one: b"a"})
+    (tmp_path / "assets" / "of somebody else's").touch()
     inner = tmp_path / "episodes" / "eval"
-    keep(inner, {"a.zst": b"a", "b.zst": b"b"})
-    assert [path.name for path in (inner / "assets").iterdir()] == ["b.zst"]
-    assert Beside(inner / "log.mcap")("a.zst") == b"a"
-    copy_beside(inner / "log.mcap", tmp_path / "else", ["a.zst", "none.zst"])
-    assert Beside(tmp_path / "else" / "log.mcap")("none.zst") is None
-    keep(tmp_path, {"a.zst": b"a"})
+    keep(inner, {one: b"a", other: b"b"})
+    assert [path.name for path in (inner / "assets").iterdir()] == [other]
+    assert Beside(inner / "log.mcap")(one) == b"a"
+    copy_beside(inner / "log.mcap", tmp_path.parent / "else", [one, none])
+    assert Beside(tmp_path.parent / "else" / "log.mcap").names() == [one]
+    keep(tmp_path, {one: b"a"})

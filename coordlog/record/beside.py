@@ -22,6 +22,7 @@ ABOVE = 4
 those of a pack above its shards."""
 
 NAME = re.compile(r"[0-9a-f]{64}\.\w+\.zst")
+"""What is kept here is called after its content; whatever else lies there is not ours."""
 File = str | os.PathLike[str]
 
 
@@ -35,7 +36,9 @@ class Beside:
 
     def __init__(self, log: File) -> None:
         """Of a log by its address; nothing is looked for yet."""
-        above = [each for each in PurePath(log).parents if not is_shard(each.name)][:ABOVE]
+        above = list(PurePath(log).parents)
+        shards = [at for at, each in enumerate(above) if is_shard(each.name)]
+        above = above[max(shards, default=-1) + 1 :][:ABOVE]
         self._places = [_address(each) for each in above if len(each.parts) > 1 or not is_url(log)]
 
     def __call__(self, name: str) -> bytes | None:
@@ -73,23 +76,23 @@ def keep(where: File, files: Mapping[str, bytes]) -> None:
     Raises:
         StorageError: if it refuses.
     """
-    there = Beside(PurePath(where) / "log")
+    beside = Beside(PurePath(where) / "log")
+    there = set(beside.names() if files else ())
     for name, data in files.items():
         if name in there:
             continue
         try:
             place_at(_address(PurePath(where))).create(f"{FOLDER}/{name}", data)
         except StorageError:
-            if name not in there:  # nobody else has put it there meanwhile
+            if name not in beside:  # nobody else has put it there meanwhile
                 raise
 
 
 def copy_beside(log: File, where: File, names: Iterable[str]) -> None:
     """Put files that lie beside a log beside others, as far as they are there; errors as `keep`."""
     source, there = Beside(log), Beside(PurePath(where) / "log")
-    for name in names:
-        if name not in there and (data := source(name)) is not None:
-            keep(where, {name: data})
+    wanted = sorted(set(names) - set(there.names()))
+    keep(where, {name: data for name in wanted if (data := source(name)) is not None})
 
 
 def _address(where: PurePath) -> str:
