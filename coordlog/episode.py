@@ -39,6 +39,9 @@ CONTACT = np.dtype(
 MODEL_XML, MODEL_MJB, INITIAL_STATE = "model.xml.zst", "model.mjb.zst", "initial_state.f64"
 """Attachment names: MJCF text, one zstd frame, and the raw float64 mjSTATE_INTEGRATION vector.
 Files of version 1 carry the compiled model (MJB) too."""
+VISUALS = "visuals.json.zst"
+"""Name of an attachment: which bodies wear which mesh that nothing collides with (mjcf/looks.py).
+The meshes lie beside the logs."""
 
 KINDS = ("simulated", "observed")
 """Kinds of episodes: made here, so that they replay bit for bit; or seen from outside."""

@@ -5,6 +5,7 @@ stable-baselines3 (.zip).
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GOAL_PARTS, STATE_BOUND
 
 FOREIGN = ".zip"
+RUN = "run.json"
+"""Lies beside a model that `experiments.scalar_peer` trained, and says what it learnt in."""
 ABOUT = ("scene", "mode", "seed", "updates", "steps", "log_episodes", "data")
 """What a table keeps of what a policy file says of its training."""
 
@@ -51,6 +54,16 @@ class Foreign:
         """Actions without exploration, (n, n_u)."""
         action, _ = self._model.predict(self.observation(state), deterministic=True)
         return np.asarray(action, dtype=np.float32)
+
+
+def learnt_in(name: str, scene: str) -> Json | None:
+    """The `coordlog.env` record of the environment a policy learnt in, as far as it is known."""
+    if name.endswith(FOREIGN):
+        beside = Path(name).with_name(RUN)
+        said = json.loads(beside.read_text(encoding="utf-8")) if beside.exists() else {}
+        return said.get("env")
+    file = policy_file(name, scene)
+    return about(file)["env"] if file else None
 
 
 def actor(name: str, env: BatchEnv, *, shield: bool | None = None) -> tuple[Policy, Json]:

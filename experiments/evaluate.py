@@ -23,11 +23,10 @@ import numpy as np
 from coordlog.contracts import Policy
 from coordlog.episode import Json
 from coordlog.errors import CoordlogError
-from coordlog.policies.registry import about, policy_file
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.making import make_env
 from experiments import tables
-from experiments.actors import FOREIGN, actor
+from experiments.actors import actor, learnt_in
 from experiments.measure import SEED, SPLIT, TIMED, decisions, figures, run
 from experiments.recipes import row_names
 from experiments.torso import SPINE
@@ -58,9 +57,8 @@ def environment(
     """The environment a policy was trained in, with this goal radius, torso, and whatever other
     constants [env] has.
     """
-    file = None if policy.endswith(FOREIGN) else policy_file(policy, scene)
-    like = about(file)["env"] if file else None
     constants |= {"goal_radius": radius, "locked": SPINE if torso == "locked" else ()}
+    like = learnt_in(policy, scene)
     return make_env(scene, {"env": constants}, start=start, envs=envs, threads=threads, like=like)
 
 
@@ -70,7 +68,7 @@ def evaluate(
     """The table of one row."""
     table: tables.Table = {"row": row, "scene": scene, "torso": torso, "training_seed": seed}
     judged = {name: (radius, "stand") for name, radius in RADII.items()}
-    if not policy.endswith(FOREIGN) and policy_file(policy, scene):
+    if learnt_in(policy, scene):
         judged[HOME] = RADII["3 cm"], "home"
     for name, (radius, start) in judged.items():
         envs = min(ENVS, episodes)

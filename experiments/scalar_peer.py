@@ -1,11 +1,13 @@
 """stable-baselines3's TD3 + HER on `coordlog.GymEnv`, as its users would call it: one reward, the
 sum of the arms'.
 
-    python -m experiments.scalar_peer table runs/peers-table/td3-s0 --steps 40000 --seed 0
+    python -m experiments.scalar_peer free runs/peers-free/td3-s0 --steps 40000 --seed 0
+    python -m experiments.scalar_peer table runs/peers-table/td3-s0 --preset live --seed 0
 
 The network, batch, discount, learning rate, exploration, updates per step and share of goals in
-hindsight are those of our settings; what makes TD3 (delayed actor, target noise, targets of one
-step, goals from anywhere later in an episode, endings as they were) stays as that library has it.
+hindsight are those of a preset of ours, and so are the period of decisions and the rewards; what
+makes TD3 (delayed actor, target noise, targets of one step, goals from anywhere later in an
+episode, endings as they were, starts in the pose asked for) stays as that library has it.
 Held-out problems are judged by `coordlog.sim.scoring.evaluate`, like everyone's, and the rows are
 those of a run folder, so that `coordlog plot` draws them beside ours.
 """
@@ -29,11 +31,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from coordlog.episode import Array
 from coordlog.sim.env import BatchEnv
 from coordlog.sim.gym import GymEnv
+from coordlog.sim.making import make_env
 from coordlog.sim.scoring import evaluate, figures
-from coordlog.tasks.scene import find
 from coordlog.train.config import NoiseConfig
-from coordlog.train.settings import Settings, load_settings
-from experiments.actors import Foreign
+from coordlog.train.settings import PRESETS, Settings, load_settings, surroundings
+from experiments.actors import RUN, Foreign
 
 NAME = "TD3 + HER of stable-baselines3"
 EVALUATION_ENVS = 32
@@ -135,16 +137,18 @@ def learn(
     envs: int,
     every: int,
     episodes: int,
+    preset: str = "default",
 ) -> None:
-    """One run of the peer into an empty folder.
+    """One run of the peer into an empty folder, in the environment that the preset asks for.
 
     A row whenever `every` steps are over, the last at the end.
     """
     seed, loop = settings.loop.seed, settings.loop
-    judge = BatchEnv(find(scene), n=min(EVALUATION_ENVS, episodes), threads=0)
+    n, like = min(EVALUATION_ENVS, episodes), surroundings(preset)
+    judge = make_env(scene, {}, start="stand", envs=n, threads=0, like=like)
     SumOfArms.factor = judge.layout.k * settings.learner.reward_scale
-    single = SumOfArms(scene)
-    made = DummyVecEnv([lambda: SumOfArms(scene)] * envs)
+    single = _single(judge)
+    made = DummyVecEnv([lambda: _single(judge)] * envs)
     noise = VectorizedActionNoise(
         Decaying(settings.noise, judge.layout.n_u, steps=steps / envs, seed=seed), envs
     )
@@ -180,10 +184,15 @@ def learn(
     require_same_sight(policy, judge, single)
     folder.mkdir(parents=True)
     said = {"scene": scene, "mode": NAME, "seed": seed, "settings": settings.asdict(), "envs": envs}
-    (folder / "run.json").write_text(json.dumps(said))
+    (folder / RUN).write_text(json.dumps(said | {"env": judge.describe()}))
     model.learn(steps, callback=Rows(folder, policy, judge, every=every, episodes=episodes))
     model.save(folder / "model.zip")
     (folder / "finished").touch()
+
+
+def _single(judge: BatchEnv) -> SumOfArms:
+    """One simulation of the environment that is judged in."""
+    return SumOfArms(judge.scene, config=judge.task.config, reward=judge.task.reward)
 
 
 def require_same_sight(policy: Foreign, env: BatchEnv, single: GymEnv) -> None:
@@ -201,13 +210,18 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("scene")
     parser.add_argument("out", type=Path, help="a run folder that is not there yet")
-    for name, usual in (("steps", 60_000), ("seed", 0), ("every", 5_000), ("episodes", 100)):
+    parser.add_argument("--preset", default="default", choices=list(PRESETS))
+    parser.add_argument("--steps", type=int, help="by default those of the preset")
+    for name, usual in (("seed", 0), ("every", 5_000), ("episodes", 100)):
         parser.add_argument(f"--{name}", type=int, default=usual)
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    said = (f"loop.seed={given.seed}", "loop.updates=0", f"loop.steps={given.steps}")
-    budget = {"steps": given.steps, "every": given.every, "episodes": given.episodes}
-    learn(given.scene, load_settings(assignments=said), given.out, envs=32, **budget)
+    said = [f"loop.seed={given.seed}"]
+    if given.steps is not None:
+        said += ["loop.updates=0", f"loop.steps={given.steps}"]
+    settings = load_settings(preset=given.preset, assignments=said)
+    budget = {"steps": settings.loop.steps, "every": given.every, "episodes": given.episodes}
+    learn(given.scene, settings, given.out, envs=32, preset=given.preset, **budget)
 
 
 if __name__ == "__main__":

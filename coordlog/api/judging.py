@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coordlog.policies.learned import Policy
+from coordlog.record.beside import keep
 from coordlog.record.dataset import SUFFIX
 from coordlog.record.reader import read_attachments, read_episode
 from coordlog.record.recorder import Recorder
@@ -115,6 +116,7 @@ class Judge:
         env = self._envs[prefix]
         said = {"kind": "digrad", "name": f"update {updates}", "checkpoint_sha256": "", "noise": {}}
         run = run_of(self._run, updates, policy)
+        keep(self._folder, env.looks.meshes)
         with Recorder(env, folder, policy=said, display=False, run=run) as recorder:
             return judged(
                 recorder, policy, episodes=self._episodes[prefix], k=env.layout.k, seed=SEED
@@ -135,7 +137,8 @@ def show(window: Live, updates: int, folder: Path) -> None:
 
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     window.evaluation(
-        updates, [Show(path.stem, read_episode(path), read_attachments(path)) for path in paths]
+        updates,
+        [Show(path.stem, read_episode(path), read_attachments(path), str(path)) for path in paths],
     )
 
 

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from coordlog.record.beside import keep
 from coordlog.record.recorder import Recorder
 from coordlog.sim.making import make_env
 from coordlog.tasks.scene import Scene
@@ -26,6 +27,7 @@ def record_training(env: BatchEnv, folder: Path, *, run: str) -> Recorder:
         "checkpoint_sha256": "",
         "noise": {"kind": "gaussian", "schedule": "noise in run.json"},
     }
+    keep(folder, env.looks.meshes)
     return Recorder(env, folder / "episodes" / "train", policy=policy, display=False, run=run)
 
 

@@ -104,6 +104,7 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
     from coordlog.catalog.asking import catalogued
     from coordlog.config import read_toml
     from coordlog.policies.scripted import TABLES, with_noise
+    from coordlog.record.beside import keep
     from coordlog.record.branches import Branched
     from coordlog.record.recorder import Recorder
     from coordlog.record.spool import sink_at
@@ -128,6 +129,7 @@ def record_scene(plan: RecordPlan, out: Path, monitor: Monitor) -> Recorded:
     ):
         make = partial(Branched, parents) if parents else Recorder
         options: Json = {"display": plan.display, "epoch": plan.epoch, "finished": sink.take}
+        keep(out, env.looks.meshes)
         with make(env, sink.folder, policy=described, **options) as recorder:
             for ids, outcome in rollout(recorder, actor, numbers, seed=plan.seed, split=plan.split):
                 board.add(ids, outcome)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import contents_of, sha256, size_and_time
+from coordlog.record.beside import Beside, copy_beside
 from coordlog.record.pack_writer import SHARD_BYTES, PackWriter, fits
 from coordlog.record.places import Folder
 
@@ -72,6 +73,7 @@ def pack_files(
                 writer.append(name, data, mtime=(size_and_time(path) or (0, 0))[1] // SECOND)
                 count, size = count + 1, size + len(data)
             tell()
+    _copy_looks(fitting, out)
     return Packed(count, size, there, tuple(left_out))
 
 
@@ -109,7 +111,14 @@ def unpack_files(
             os.utime(target, ns=(time, time))
             count, size = count + 1, size + len(data)
         tell()
+    _copy_looks(files, out)
     return Packed(count, size, there)
+
+
+def _copy_looks(files: Sequence[tuple[Path, str]], out: Path) -> None:
+    """Copy what robots wear in pictures, once for each folder or shard."""
+    for log in {path.parent: path for path, _ in files}.values():
+        copy_beside(log, out, Beside(log).names())
 
 
 def _require_names(files: Sequence[tuple[Path, str]]) -> None:

@@ -18,7 +18,8 @@ from coordlog.episode import INITIAL_STATE, Array
 from coordlog.errors import ConfigError, FormatError, unknown
 from coordlog.exchange.blocks import Options
 from coordlog.exchange.source import Loaded
-from coordlog.mjcf import load_attached
+from coordlog.mjcf import load_attached, load_dressed
+from coordlog.record.beside import Beside
 from coordlog.sim.physics import STATE
 from coordlog.sim.render import offscreen
 from coordlog.sim.replay import Log, exact_here, replay
@@ -43,6 +44,8 @@ def frames(loaded: Loaded, options: Options) -> Iterator[dict[str, Array]]:
     for camera in options.cameras:
         name, kind = split(camera)
         views[camera] = (view_of(name, model), kind)
+    if not any(kind == "segmentation" for _, kind in views.values()):  # geoms by their ids
+        model = load_dressed(loaded.attachments, Beside(loaded.path))
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, start, STATE)
     with Canvas(model, options.width, options.height) as canvas:

@@ -30,6 +30,7 @@ from coordlog.exchange.motion import Motion, prepared
 from coordlog.exchange.observed import attachments, observe
 from coordlog.exchange.robot_model import RobotModel
 from coordlog.exchange.sources import Reading, digest_of, kind_of, motions
+from coordlog.record.beside import keep
 from coordlog.record.writer import write_episode
 
 BLOCK = 1000
@@ -166,6 +167,8 @@ def import_source(
             + "".join(f"; {note}" for piece in pieces[:1] for note in piece.motion.notes)
         )
     out.mkdir(parents=True, exist_ok=True)
+    if robot is not None:
+        keep(out, robot.looks.meshes)
     paths, present = [], 0
     for index, piece in enumerate(kept):
         target = out / f"{_stem(path)}-{index:06d}-{_mark(digest, plan, robot)}.mcap"

@@ -11,7 +11,7 @@ import numpy as np
 
 from coordlog.episode import Array
 from coordlog.errors import ConfigError, FormatError
-from coordlog.mjcf import compose, load_attached, pack_source
+from coordlog.mjcf import Looks, compose, load_attached, pack_source, robot_looks
 from coordlog.mjcf.printing import Source, printed
 from coordlog.mjcf.source import whole
 from coordlog.robots.card import read_tables, robot_of
@@ -26,6 +26,8 @@ class RobotModel(NamedTuple):
     name: str
     model: mujoco.MjModel
     attachments: Mapping[str, bytes]
+    looks: Looks = Looks()
+    """What it wears in pictures: part of the attachments, and files for the folder of the logs."""
 
     @property
     def rest(self) -> Array:
@@ -68,21 +70,22 @@ def read_model(given: str) -> RobotModel:
     path = Path(given)
     if not path.exists() and given in SCENES:
         scene = find(given)
-        name, source = scene.robot.name, compose(scene, EnvConfig())
+        robot, source = scene.robot, compose(scene, EnvConfig())
     elif path.is_file():
         robot = _robot(path)
-        name, source = robot.name, _with_hands(whole(robot))
+        source = _with_hands(whole(robot))
     else:
         raise ConfigError(
             f"--robot {given}: expected a MJCF or URDF file, a robot's card, or a scene: "
             f"{', '.join(sorted(SCENES))}"
         )
-    attachments = pack_source(source)
+    looks = robot_looks(robot)
+    attachments = {**pack_source(source), **looks.attached}
     try:
         model = load_attached(attachments)  # what the log carries, loaded as it will be
     except FormatError as error:
         raise ConfigError(f"--robot {given}: {error}") from error
-    return RobotModel(name, model, attachments)
+    return RobotModel(robot.name, model, attachments, looks)
 
 
 def _with_hands(source: Source) -> Source:

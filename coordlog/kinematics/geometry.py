@@ -15,7 +15,8 @@ import numpy as np
 from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT
-from coordlog.mjcf import load_attached
+from coordlog.mjcf.dressed import SHOWN_GROUPS, Find, load_dressed
+from coordlog.mjcf.looks import colour_of, mesh_of
 from coordlog.robots.robot import Robot
 from coordlog.tasks.scene import ROBOT_IN_WORLD, goal_body, sole_corner
 
@@ -27,8 +28,6 @@ KINDS = {
 MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 DRAWN = {int(kind) for kind in KINDS} | {MESH}
 """Kinds that are drawn as they are, not as a box."""
-UNCOLOURED = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
-"""MuJoCo's colour of a geom that has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,15 +140,18 @@ class Geometry:
         self._middle[boxed] = model.geom_aabb[boxed, :3]
 
     @classmethod
-    def of(cls, episode: Episode, attachments: Mapping[str, bytes]) -> Geometry:
-        """The geometry of a recorded episode, from the file's attachments.
+    def of(
+        cls, episode: Episode, attachments: Mapping[str, bytes], find: Find | None = None
+    ) -> Geometry:
+        """The geometry of a recorded episode, from the file's attachments; with what finds files
+        beside it, wearing what its robot looks like.
 
         Raises:
             FormatError: if the model is missing, damaged, asks for other files, or is not the
                 episode's.
         """
         robot = Robot.from_json(episode.header.env["robot"])
-        model = load_attached(attachments)
+        model = load_dressed(attachments, find)
         if model.nq != episode.qpos.shape[1]:
             raise FormatError(
                 f"the attached model: expected nq = {episode.qpos.shape[1]} as in the steps, got "
@@ -163,8 +165,8 @@ class Geometry:
         )
 
     def of_place(self, place: str) -> list[Geom]:
-        """Geoms that belong to the robot, the world, …, in model order."""
-        return [geom for geom in self.geoms if geom.place == place]
+        """Geoms of the robot, the world, … that are to be seen, in model order."""
+        return [geom for geom in self.geoms if geom.place == place and geom.colour[3] > 0]
 
     def motion(self, qpos: Array) -> Motion:
         """Poses at each of n configurations, qpos (n, n_q)."""
@@ -217,7 +219,7 @@ class Geometry:
         kind = KINDS.get(form, "box")
         size = tuple(geom.size) if form in KINDS else tuple(model.geom_aabb[index, 3:])
         if form == MESH:
-            kind, mesh = "mesh", _mesh(model, int(model.geom_dataid[index]))
+            kind, mesh = "mesh", mesh_of(model, int(model.geom_dataid[index]))
         place = "robot"
         if body == 0:
             place = "world"
@@ -229,28 +231,17 @@ class Geometry:
             first = int(model.tuple_adr[own])
             if index in model.tuple_objid[first : first + int(model.tuple_size[own])]:
                 place = "robot"
-        return Geom(index, geom_label(model, index), kind, size, _colour(model, index), place, mesh)
+        red, green, blue, alpha = colour_of(model, index)
+        if model.geom_group[index] >= SHOWN_GROUPS:
+            alpha = 0.0
+        colour = (red, green, blue, alpha)
+        return Geom(index, geom_label(model, index), kind, size, colour, place, mesh)
 
 
 def geom_label(model: mujoco.MjModel, index: int) -> str:
     """A geom's name; by its body where it has none, as in models of others."""
     body = model.body(int(model.geom_bodyid[index])).name or "a body"
     return str(model.geom(index).name or f"body {body} (geom {index})")
-
-
-def _colour(model: mujoco.MjModel, index: int) -> tuple[float, float, float, float]:
-    """Its own, or that of its material where it has none of its own."""
-    material, rgba = int(model.geom_matid[index]), model.geom_rgba[index]
-    if material >= 0 and np.array_equal(rgba, UNCOLOURED):
-        rgba = model.mat_rgba[material]
-    red, green, blue, alpha = rgba
-    return red, green, blue, alpha
-
-
-def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:
-    vertex, vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    return model.mesh_vert[vertex : vertex + vertices], model.mesh_face[face : face + faces]
 
 
 def turned(quaternion: Array, vector: Array) -> Array:

@@ -15,6 +15,8 @@ from coordlog.mjcf.attached import (
     silence,
 )
 from coordlog.mjcf.compose import compose, with_radii
+from coordlog.mjcf.dressed import load_dressed, worn_by
+from coordlog.mjcf.looks import Looks, looks_of, robot_looks
 from coordlog.mjcf.others import same_physics, text_of
 from coordlog.mjcf.printing import Source, compile_model
 from coordlog.mjcf.servos import actuator_label, held_controls, servos_of
@@ -23,6 +25,7 @@ from coordlog.mjcf.source import model_alone
 __all__ = [
     "ASSETS",
     "MAX_BYTES",
+    "Looks",
     "Source",
     "actuator_label",
     "compile_model",
@@ -30,13 +33,17 @@ __all__ = [
     "held_controls",
     "is_plain_model",
     "load_attached",
+    "load_dressed",
     "load_model",
+    "looks_of",
     "model_alone",
     "pack_source",
+    "robot_looks",
     "same_physics",
     "self_contained",
     "servos_of",
     "silence",
     "text_of",
     "with_radii",
+    "worn_by",
 ]

@@ -76,10 +76,22 @@ def load_attached(attachments: Mapping[str, bytes]) -> mujoco.MjModel:
     Raises:
         FormatError: as `load_model`.
     """
-    assets = {
+    return load_model(attachments.get(MODEL_XML), None, _assets(attachments))
+
+
+def files_of_log(attachments: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The files that the text of a log's model names, whole, by name.
+
+    Raises:
+        FormatError: if one is damaged, or all are too much.
+    """
+    return _files(_assets(attachments), room=MAX_BYTES)
+
+
+def _assets(attachments: Mapping[str, bytes]) -> dict[str, bytes]:
+    return {
         name[len(ASSETS) :]: data for name, data in attachments.items() if name.startswith(ASSETS)
     }
-    return load_model(attachments.get(MODEL_XML), None, assets)
 
 
 def load_model(
@@ -106,7 +118,7 @@ def load_model(
             + ("; it has an MJB, which is not loaded: it cannot be judged" if mjb else "")
         )
     try:
-        text = _expand(xml, "the attached MJCF text")
+        text = expanded(xml, "the attached MJCF text")
         files = _files(assets or {}, room=MAX_BYTES - len(text))
         return mujoco.MjModel.from_xml_string(self_contained(text, files), files)
     except ValueError as error:
@@ -125,7 +137,7 @@ def _files(assets: Mapping[str, bytes], *, room: int) -> dict[str, bytes]:
             raise FormatError(
                 f"attachment '{ASSETS}{stored}': expected the SHA-256 of its content as its name"
             )
-        found[name] = _expand(data, f"attachment '{ASSETS}{stored}'")
+        found[name] = expanded(data, f"attachment '{ASSETS}{stored}'")
         digest = hashlib.sha256(found[name]).hexdigest()
         if name.split(".")[0] != digest:
             raise FormatError(
@@ -148,7 +160,7 @@ def is_plain_model(xml: bytes | None) -> bool:
     if xml is None:
         return True
     try:
-        return is_plain(_parse(_expand(xml, "the attached MJCF text")))
+        return is_plain(_parse(expanded(xml, "the attached MJCF text")))
     except FormatError:
         return True
 
@@ -205,7 +217,12 @@ def _refuse_doctype(*_: object) -> None:
     )
 
 
-def _expand(data: bytes, what: str) -> bytes:
+def expanded(data: bytes, what: str) -> bytes:
+    """What a zstd frame holds.
+
+    Raises:
+        FormatError: if it is none, or holds more than a model may.
+    """
     try:
         with zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)) as stream:
             content = stream.read(MAX_BYTES + 1)

@@ -55,7 +55,7 @@ def whole(robot: Robot) -> Source:
     Raises:
         ConfigError: naming everything that is missing or cannot be read.
     """
-    return _whole(_Key(robot))
+    return _whole(RobotKey(robot))
 
 
 def model_alone(file: Path) -> Source:
@@ -73,7 +73,7 @@ LABELS = ("name", "class", "childclass", "joint", "body", "site", "geom", "model
 """Attributes that may say "nan" and mean a name."""
 
 
-class _Key:
+class RobotKey:
     """A robot's model as a key: the same files are read and reduced once."""
 
     def __init__(self, robot: Robot) -> None:
@@ -93,11 +93,11 @@ class _Key:
         return hash(self.identity)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self.identity == other.identity
+        return isinstance(other, RobotKey) and self.identity == other.identity
 
 
 @lru_cache(maxsize=4)
-def _whole(key: _Key) -> Source:
+def _whole(key: RobotKey) -> Source:
     robot = key.robot
     spec = read_spec(robot)
     named = sum(len(each) for each in (spec.meshes, spec.textures, spec.hfields, spec.skins))
@@ -269,7 +269,7 @@ def files_of(spec: mujoco.MjSpec, robot: Robot) -> dict[str, bytes]:
                     "it to STL or OBJ, with assimp or Blender)"
                 )
                 continue
-            data = _content(robot, name, folder)
+            data = content_of(robot, name, folder)
             if data is None:
                 faults.append(
                     f"{kind} '{thing.name}' reads {name}, which is not in {_where(robot)}"
@@ -352,7 +352,7 @@ def _where(robot: Robot) -> str:
     return f"the robot's assets ({', '.join(sorted(robot.assets)) or 'none'})"
 
 
-def _content(robot: Robot, name: str, folder: str) -> bytes | None:
+def content_of(robot: Robot, name: str, folder: str) -> bytes | None:
     """The bytes of a file that a model names."""
     if isinstance(robot.assets, Mapping):
         for key in (name, str(Path(folder) / name), Path(name).name):

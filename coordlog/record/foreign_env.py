@@ -15,7 +15,14 @@ import numpy as np
 
 from coordlog.episode import MODEL_XML, Array, Json
 from coordlog.errors import ConfigError, SpecError
-from coordlog.mjcf import actuator_label, load_attached, same_physics, text_of
+from coordlog.mjcf import (
+    Looks,
+    actuator_label,
+    load_attached,
+    looks_of,
+    same_physics,
+    text_of,
+)
 from coordlog.record.display import Shown
 from coordlog.sim.description import Description
 from coordlog.sim.env import hinges
@@ -70,6 +77,11 @@ class Subject:
     def shown(self, start: Array) -> Shown:
         """What viewers see of an episode that begins in a full state."""
         return Shown(self._description, start)
+
+    @cached_property
+    def looks(self) -> Looks:
+        """What it wears in pictures, beyond what the attached text has."""
+        return looks_of(self.model) if self._logged.ngeom < self.model.ngeom else Looks()
 
     @cached_property
     def names(self) -> Json:

@@ -22,6 +22,7 @@ import numpy as np
 
 from coordlog.episode import INITIAL_STATE, Array, Json
 from coordlog.errors import CoordlogError, SimulationError, SpecError
+from coordlog.record.beside import keep
 from coordlog.record.foreign_env import Subject
 from coordlog.record.foreign_values import Rows, header_of, odd
 from coordlog.record.writer import BLOCK, EpisodeWriter
@@ -250,10 +251,13 @@ class EpisodeLog:
         if self._writer is None:
             header = header_of(self._subject, columns, self._about)
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            looks = self._subject.looks
+            keep(self._path.parent, looks.meshes)
+            state = {INITIAL_STATE: self._start.tobytes()}
             self._writer = EpisodeWriter(
                 self._path,
                 header,
-                attachments={**self._subject.attached, INITIAL_STATE: self._start.tobytes()},
+                attachments={**self._subject.attached, **looks.attached, **state},
                 display=True,
                 shown=self._subject.shown(self._start),
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -14,7 +15,15 @@ from coordlog.config import build, plain
 from coordlog.contracts import Branch, Outcome, Problem
 from coordlog.episode import INITIAL_STATE, Array, Json
 from coordlog.errors import ConfigError, SimulationError, unknown
-from coordlog.mjcf import actuator_label, compile_model, compose, pack_source, with_radii
+from coordlog.mjcf import (
+    Looks,
+    actuator_label,
+    compile_model,
+    compose,
+    pack_source,
+    robot_looks,
+    with_radii,
+)
 from coordlog.sim.physics import Physics
 from coordlog.sim.sampler import Draw
 from coordlog.sim.settling import faults, settle
@@ -181,8 +190,14 @@ class BatchEnv:
         radii = tuple(float(radius) for radius in self.simulation.radii[sim])
         if not radii and self._packed:
             return self._packed
-        self._packed = pack_source(with_radii(self.source, radii) if radii else self.source)
+        source = with_radii(self.source, radii) if radii else self.source
+        self._packed = {**pack_source(source), **self.looks.attached}
         return self._packed
+
+    @cached_property
+    def looks(self) -> Looks:
+        """What its robot wears in pictures."""
+        return robot_looks(self.scene.robot)
 
     @property
     def layout(self) -> Layout:

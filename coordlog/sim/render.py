@@ -17,6 +17,7 @@ import numpy as np
 from coordlog.episode import Array
 from coordlog.errors import SimulationError, StorageError, unknown
 from coordlog.kinematics.pairs import obstacles
+from coordlog.mjcf.dressed import load_dressed, show_hidden
 from coordlog.robots.robot import Robot
 from coordlog.sim.env import BatchEnv
 from coordlog.tasks.scene import Scene, goal_body, palm_sensor
@@ -30,8 +31,6 @@ OVERSAMPLING = 2
 """Pixels rendered per pixel of the image and axis: edges against the backdrop come out smooth."""
 SEE_THROUGH = 0.3
 """Opacity of a panel that stands between the camera and a goal."""
-SHOWN_GROUPS = 3
-"""MuJoCo draws geoms of the groups below this."""
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -102,7 +101,8 @@ def picture(
         angles = env.draw.reach.solve(problem.goals)
         if angles is not None:
             qpos[env.task.qpos_index] = angles
-    model, mocap_pos = env.physics.model_of(0), env.physics.mocap_pos[0]
+    model = load_dressed(env.attachments(0), env.looks.meshes.get)
+    mocap_pos = env.physics.mocap_pos[0]
     return picture_of(
         model, qpos, mocap_pos, view=view_of(scene.robot, model), width=width, height=height
     )
@@ -298,22 +298,10 @@ def _dress(model: mujoco.MjModel, width: int, height: int) -> None:
     model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     model.light_pos[:], model.light_dir[:] = (0.6, 0.4, 2.0), (-0.30, -0.20, -0.93)
     model.light_diffuse[:], model.light_specular[:] = 0.32, 0.10
-    _show_hidden(model)
+    show_hidden(model)
     floors = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     model.geom_rgba[floors] = [*BACKDROP, 1.0]
     model.geom_size[floors] = [6.0, 6.0, 1.0]
-
-
-def _show_hidden(model: mujoco.MjModel) -> None:
-    """Show what collides of bodies of which nothing else is to be seen: many models keep their
-    collision shapes in a group that is not drawn.
-    """
-    shown = (model.geom_group < SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
-    solid = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
-    dressed = np.isin(model.geom_bodyid, model.geom_bodyid[shown])
-    bare = solid & ~shown & ~dressed
-    model.geom_group[bare] = 0
-    model.geom_rgba[bare, 3] = np.maximum(model.geom_rgba[bare, 3], 1.0)
 
 
 def _reveal(model: mujoco.MjModel, data: mujoco.MjData, eye: Array) -> None:

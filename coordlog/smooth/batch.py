@@ -262,6 +262,8 @@ def _made_before(job: Job, digest: str) -> Json | None:
 def _write(job: Job, episode: Episode, recording: Recording) -> None:
     """Write the output; a part file that a killed run left is removed first."""
     from coordlog.episode import MODEL_XML
+    from coordlog.mjcf import worn_by
+    from coordlog.record.beside import copy_beside
     from coordlog.record.display import Shown
     from coordlog.record.storage import PART
     from coordlog.record.writer import write_episode
@@ -272,6 +274,7 @@ def _write(job: Job, episode: Episode, recording: Recording) -> None:
         shown = Shown(Description(recording.model), recording.initial_state)
     try:
         job.target.parent.mkdir(parents=True, exist_ok=True)
+        copy_beside(recording.source, job.target.parent, worn_by(attached))
         exists = job.target.exists()
         beside = job.target.with_name(f"new-{job.target.name}") if exists else job.target
         beside.with_name(beside.name + PART).unlink(missing_ok=True)

@@ -71,15 +71,17 @@ def hides(geom: Geom, stage: Stage, eye: Array) -> bool:
     robot = stage.motion.position[
         0, [each.index for each in stage.geometry.geoms if each.place == "robot"]
     ]
-    top = robot[robot[:, 2].argmax()]
+    top = robot[np.argsort(robot[:, 2])[-1:]]
     goals, palms = (
-        np.array(stage.episode.header.episode["goals"]),
+        np.array(stage.episode.header.episode["goals"]).reshape(-1, 3),
         stage.motion.palms.reshape(-1, 3),
     )
     centre, half = stage.motion.position[0, geom.index], np.array(geom.size)
     start = eye - np.array([0.0, stage.offset, 0.0])
-    blocked = crosses(start, np.concatenate([goals, [top], palms]), centre - half, centre + half)
-    return bool(blocked[: len(goals) + 1].any() or blocked[len(goals) + 1 :].mean() > HIDDEN)
+    ends = np.concatenate([goals, top, palms])
+    blocked = crosses(start, ends, centre - half, centre + half)
+    points = len(goals) + len(top)
+    return bool(blocked[:points].any() or blocked[points:].sum() > HIDDEN * len(palms))
 
 
 def crosses(start: Array, ends: Array, low: Array, high: Array) -> Array:

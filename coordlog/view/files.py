@@ -10,8 +10,10 @@ from typing import NamedTuple
 import rerun as rr
 
 from coordlog.errors import ConfigError, StorageError, TruncatedError
+from coordlog.mjcf import worn_by
 from coordlog.monitor import Monitor
 from coordlog.record.addresses import is_single
+from coordlog.record.beside import FOLDER, Beside
 from coordlog.record.dataset import open as open_logs
 from coordlog.record.files import Files, find_files, nothing_found
 from coordlog.record.opening import load, naming
@@ -56,6 +58,9 @@ def draw_files(
     if isinstance(paths, Files) or not all(map(is_single, paths)):
         return _overview(paths, heard)
     shows = [_show(path) for path in _together(list(paths), beside, alone=alone, monitor=heard)]
+    for said in dict.fromkeys(map(_bare, shows)):
+        if said:
+            heard.note(said)
     aborted = any(show.episode.result.aborted for show in shows)
     said = "aborted or unfinished: shown as far as it goes" if aborted else ""
     return Drawn(to_rerun(_apart(shows), ghosts=ghosts), said)
@@ -99,6 +104,18 @@ def _show(path: Path) -> Show:
         with naming(path):
             salvage = salvaged(load(path))
         return Show(path.stem, salvage.episode, salvage.attachments, str(path))
+
+
+def _bare(show: Show) -> str:
+    """Why a robot does not look as it does, in a sentence; "" if nothing is missing."""
+    there = Beside(show.file)
+    missing = sum(name not in there for name in worn_by(show.attachments))
+    if not missing:
+        return ""
+    return (
+        f"its robot is drawn by what it collides with: {missing} of its meshes are not in "
+        f"{Path(show.file).parent / FOLDER}"
+    )
 
 
 def _apart(shows: list[Show]) -> list[Show]:

@@ -24,17 +24,21 @@ def layout(stages: Sequence[Stage], camera: Camera) -> rrb.Blueprint:
     A banner above for what was cut short.
     """
     plots = rrb.Vertical(
-        rrb.Tabs(*(_text(stage) for stage in stages), active_tab=len(stages) - 1),
+        rrb.Tabs(*(words(stage) for stage in stages), active_tab=len(stages) - 1),
         _joints(stages),
         rrb.Tabs(
-            _series(stages, "log10 of distance to goal [m]", "log_distance/**"),
-            _series(stages, "distance [m]", "distance"),
-            _series(stages, "reward", "reward"),
+            series(stages, "log10 of distance to goal [m]", "log_distance/**"),
+            series(stages, "distance [m]", "distance"),
+            series(stages, "reward", "reward"),
         ),
         row_shares=[4, 4, 3],
     )
-    left = rrb.Vertical(_scene(stages, camera), _flags(stages), row_shares=[8, 4])
-    panels: rrb.Container = rrb.Horizontal(left, plots, column_shares=[3, 2])
+    left = rrb.Vertical(scene(stages, camera), _flags(stages), row_shares=[8, 4])
+    return arranged(stages, rrb.Horizontal(left, plots, column_shares=[3, 2]))
+
+
+def arranged(stages: Sequence[Stage], panels: rrb.Container) -> rrb.Blueprint:
+    """Panels with a banner above for what was cut short."""
     cut = [stage for stage in stages if stage.episode.result.aborted]
     if cut:
         banners = rrb.Horizontal(
@@ -75,7 +79,8 @@ def space(name: str, camera: Camera, contents: Sequence[str]) -> rrb.Spatial3DVi
     )
 
 
-def _scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
+def scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
+    """The three-dimensional view of shows."""
     name = " | ".join(f"{stage.label}: {verdict(stage.episode)}" for stage in stages)
     if len(stages) == 1:
         name = f"{title(stages[0].episode)}: {verdict(stages[0].episode)}"
@@ -85,11 +90,11 @@ def _scene(stages: Sequence[Stage], camera: Camera) -> rrb.Spatial3DView:
 def _joints(stages: Sequence[Stage]) -> rrb.Tabs:
     groups = list(dict.fromkeys(group for stage in stages for group in stage.groups))
     views = [
-        _series(stages, f"joints: {group}", f"joint/{group}/**", span=_span(stages, group))
+        series(stages, f"joints: {group}", f"joint/{group}/**", span=_span(stages, group))
         for group in groups
     ]
     return rrb.Tabs(
-        *views, _series(stages, "actions", "action/**"), active_tab=min(1, len(groups) - 1)
+        *views, series(stages, "actions", "action/**"), active_tab=min(1, len(groups) - 1)
     )
 
 
@@ -101,13 +106,15 @@ def _flags(stages: Sequence[Stage]) -> rrb.Tabs:
     return rrb.Tabs(*views, active_tab=len(views) - 1)
 
 
-def _text(stage: Stage) -> rrb.TextDocumentView:
+def words(stage: Stage) -> rrb.TextDocumentView:
+    """What a show says about itself."""
     return rrb.TextDocumentView(origin=stage.entity("about"), name=stage.label or stage.show.name)
 
 
-def _series(
+def series(
     stages: Sequence[Stage], name: str, entities: str, *, span: tuple[float, float] | None = None
 ) -> rrb.TimeSeriesView:
+    """Curves of shows by the names of their entities."""
     contents = [f"+ {stage.root}/{entities}" for stage in stages]
     axis = None if span is None else rrb.ScalarAxis(range=span)
     return rrb.TimeSeriesView(origin="/", contents=contents, name=name, axis_y=axis)

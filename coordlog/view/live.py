@@ -22,9 +22,10 @@ from coordlog.view.camera import Camera, camera
 from coordlog.view.draft import Draft
 from coordlog.view.layout import panes, space
 from coordlog.view.outcome import KINDS, Outcome, about_all
-from coordlog.view.recording import MARKDOWN, new_stream
+from coordlog.view.recording import new_stream
 from coordlog.view.scene import draw_end, draw_floor
 from coordlog.view.show import Show, Stage
+from coordlog.view.text import MARKDOWN
 
 TIMELINE = "update"
 

@@ -20,9 +20,10 @@ from coordlog.view.draft import Draft
 from coordlog.view.outcome import KINDS, Outcome, about_all, about_one, by_urgency
 from coordlog.view.overview_layout import RANK, TIMELINE, overview_layout
 from coordlog.view.plots import lines
-from coordlog.view.recording import MARKDOWN, new_stream
+from coordlog.view.recording import new_stream
 from coordlog.view.scene import draw_start
 from coordlog.view.show import Show, Stage
+from coordlog.view.text import MARKDOWN
 
 WINDOW = 50
 """Rates are running means over this many episodes."""

@@ -5,20 +5,16 @@ from __future__ import annotations
 import uuid
 from collections.abc import Sequence
 
-import numpy as np
 import rerun as rr
 
-from coordlog.view import text
 from coordlog.view.camera import camera
 from coordlog.view.draft import Draft
+from coordlog.view.environment import of_environment
 from coordlog.view.layout import layout
 from coordlog.view.plots import plot
 from coordlog.view.scene import draw
-from coordlog.view.show import Show, Stage, stages
-
-FROM_ABOVE = np.array([0.0, 0.0, 10.0])
-"""Where an eye is from which no panel hides anything [m]."""
-MARKDOWN = "text/markdown"
+from coordlog.view.show import Show, stages
+from coordlog.view.text import say
 
 
 def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStream:
@@ -37,7 +33,7 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     """
     staged = stages(shows, ghosts=ghosts)
     if not all(stage.robot.arms for stage in staged):
-        return _scene_alone(staged)
+        return of_environment(staged, new_stream(" and ".join(show.name for show in shows)))
     view = camera(staged)
     stream = new_stream(" and ".join(show.name for show in shows))
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -45,27 +41,9 @@ def to_rerun(shows: Sequence[Show], *, ghosts: bool = False) -> rr.RecordingStre
     for stage in staged:
         draw(draft, stage, view.eye)
         plot(draft, stage, behind=stage is not staged[-1])
-        about = text.about(stage.episode, file=stage.show.file)
-        stream.log(stage.entity("about"), rr.TextDocument(about, media_type=MARKDOWN), static=True)
-        if stage.episode.result.aborted:
-            stream.log(
-                stage.entity("banner"),
-                rr.TextDocument(text.banner(stage.episode), media_type=MARKDOWN),
-                static=True,
-            )
+        say(stream, stage)
     draft.send(stream)
     stream.send_blueprint(layout(staged, view))
-    return stream
-
-
-def _scene_alone(staged: Sequence[Stage]) -> rr.RecordingStream:
-    """What moves, and nothing of a task: episodes of environments that are not ours."""
-    stream = new_stream(" and ".join(stage.show.name for stage in staged))
-    stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    draft = Draft()
-    for stage in staged:
-        draw(draft, stage, FROM_ABOVE)
-    draft.send(stream)
     return stream
 
 

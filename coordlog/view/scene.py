@@ -17,7 +17,7 @@ from coordlog.view.camera import hides
 from coordlog.view.draft import Draft
 from coordlog.view.palette import Colour
 from coordlog.view.show import Stage
-from coordlog.view.solids import ARCHETYPES, floor, poses, solids
+from coordlog.view.solids import ARCHETYPES, floor, normals, poses, solids
 
 When = Literal["always", "start", "end"]
 GHOST = 0.35
@@ -127,11 +127,13 @@ def _draw_mesh(
     entity, motion = stage.entity("world", place, "mesh", str(geom.index)), stage.motion
     vertices, triangles = geom.mesh or (np.zeros((0, 3)), np.zeros((0, 3)))
     colours = np.tile(np.array(colour, dtype=np.uint8), (len(vertices), 1))
+    outward = normals(vertices, triangles)  # without them the viewer lights nothing
     draft.log(
         entity,
         rr.Mesh3D,
         vertex_positions=vertices,
         triangle_indices=triangles.astype(np.uint32),
+        vertex_normals=outward,
         vertex_colors=colours,
     )
     rows = ROWS[when]

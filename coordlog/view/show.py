@@ -15,6 +15,7 @@ from coordlog.episode import Array, Episode
 from coordlog.errors import ConfigError
 from coordlog.kinematics.geometry import Geometry, Motion
 from coordlog.path import Path as Spline
+from coordlog.record.beside import Beside
 from coordlog.robots.robot import Robot
 
 TIMELINE = "sim_time"
@@ -57,7 +58,8 @@ class Stage:
         self.offset, self.ghost = offset, ghost
         self.robot = Robot.from_json(show.episode.header.env["robot"])
         self.label, self.root = label, "/" + rr.escape_entity_path_part(label) if label else ""
-        self.geometry = Geometry.of(show.episode, show.attachments)
+        beside = Beside(show.file) if show.file else None
+        self.geometry = Geometry.of(show.episode, show.attachments, beside)
         self.motion: Motion = self.geometry.motion(show.episode.qpos)
 
     @property

@@ -57,6 +57,19 @@ def poses(kind: str, geoms: Sequence[Geom], position: Array, quaternion: Array) 
     return {"centers": position.reshape(-1, 3), "quaternions": xyzw}
 
 
+def normals(vertices: Array, triangles: Array) -> Array:
+    """Where the surface of a mesh looks at each of its vertices (v, 3): the mean over the triangles
+    (t, 3) that meet there, each by its area; unit vectors (v, 3) float32.
+    """
+    a, b, c = (vertices[triangles[:, i]].astype(np.float64) for i in range(3))
+    across = np.cross(b - a, c - a)
+    found = np.zeros((len(vertices), 3))
+    for i in range(3):
+        np.add.at(found, triangles[:, i], across)
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    return (found / np.where(length > 0, length, 1.0)).astype(np.float32)
+
+
 def axis(quaternion: Array) -> Array:
     """The z axis of a frame by its orientation, (…, 4) wxyz to (…, 3)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)

@@ -5,8 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import rerun as rr
 
 from coordlog.episode import Episode
+from coordlog.view.show import Stage
+
+MARKDOWN = "text/markdown"
+
+
+def say(stream: rr.RecordingStream, stage: Stage) -> None:
+    """Log what a show says about itself, and a banner if it was cut short."""
+    said = {"about": about(stage.episode, file=stage.show.file)}
+    if stage.episode.result.aborted:
+        said["banner"] = banner(stage.episode)
+    for place, text in said.items():
+        document = rr.TextDocument(text, media_type=MARKDOWN)
+        stream.log(stage.entity(place), document, static=True)
 
 
 def verdict(episode: Episode) -> str:
@@ -32,10 +46,9 @@ def verdict(episode: Episode) -> str:
 def title(episode: Episode) -> str:
     """Which episode this is, in a few words."""
     start = episode.header.episode
-    return (
-        f"{plain(start['scene'])} · {plain(start['split'])} seed {start['seed']} episode "
-        f"{start['index']}"
-    )
+    words = [plain(start["split"])] if start["split"] else []
+    words += [f"seed {start['seed']}"] if start["seed"] is not None else []
+    return " ".join([f"{plain(start['scene'])} ·", *words, f"episode {start['index']}"])
 
 
 def banner(episode: Episode) -> str:
@@ -101,6 +114,13 @@ def plain(value: object) -> str:
 
 
 def _arms(episode: Episode) -> list[str]:
+    if not episode.has("distance"):
+        returns = zip(episode.header.arms, episode.result.returns, strict=True)
+        return [
+            "| reward | sum |",
+            "|---|---|",
+            *(f"| {plain(name)} | {value:.4g} |" for name, value in returns),
+        ]
     rows = ["| arm | final distance | nearest | return |", "|---|---|---|---|"]
     for i, arm in enumerate(episode.header.arms):
         distance = episode.distance[:, i] if len(episode) else np.array([np.nan])

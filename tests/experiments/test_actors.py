@@ -13,8 +13,9 @@ from coordlog.sim.gym import GymEnv
 from coordlog.sim.scoring import evaluate, figures
 from coordlog.tasks.scene import find
 from coordlog.train.metrics import read_metrics
-from coordlog.train.settings import load_settings
+from coordlog.train.settings import load_settings, surroundings
 from experiments.actors import actor
+from experiments.evaluate import environment
 from experiments.scalar_peer import learn
 
 
@@ -54,11 +55,14 @@ def test_the_last_evaluation_of_a_peers_run_is_that_of_the_model_it_saves(
         envs=2,
         every=168,
         episodes=2,
+        preset="live",
     )
     rows = [row for row in read_metrics(tmp_path / "run" / "metrics.jsonl") if "clean" in row]
-    env = BatchEnv(find("planar"), n=2, threads=1)
-    policy, _ = actor(str(tmp_path / "run" / "model.zip"), env)
+    model = str(tmp_path / "run" / "model.zip")
+    env = environment("planar", model, radius=0.03, torso="free", envs=2)
+    assert env.task.config.control_period == surroundings("live")["config"]["control_period"]
+    policy, _ = actor(model, env)
     again = figures(evaluate(env, policy, episodes=2, k=env.layout.k, seed=0))
     assert {name: rows[-1][name] for name in again} == again
     assert again["score"] != rows[0]["score"]
-    assert [(row["step"], row["update"]) for row in rows] == [(176, 0), (336, 48)]
+    assert [(row["step"], row["update"]) for row in rows] == [(176, 80), (336, 240)]

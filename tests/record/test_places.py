@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from coordlog.errors import ConfigError, CoordlogError, StorageError
+from coordlog.record.beside import Beside, keep
 from coordlog.record.buckets import Bucket
 from coordlog.record.places import Folder, is_url, split_url
 from tests.record.s3 import ENVIRONMENT, Server
@@ -63,6 +64,15 @@ def test_places_agree(kind: str, bucket: Bucket, tmp_path: Path) -> None:
         place.read("nothing")
     place.remove("b")
     assert place.entries() == []
+
+
+def test_files_beside_logs_lie_beside_those_of_a_bucket(bucket: Bucket) -> None:
+    name = f"{'a' * 64}.msh.zst"
+    keep(bucket.address, {name: b"mesh"})
+    keep(f"{bucket.address}/deeper", {name: b"mesh"})
+    assert [each.name for each in bucket.everything()] == [f"assets/{name}"]
+    found = Beside(f"{bucket.address}/deeper/a.mcap")
+    assert (found(name), found("none"), found.names()) == (b"mesh", None, [name])
 
 
 def test_of_two_writers_one_comes_second(bucket: Bucket) -> None:
