@@ -150,7 +150,6 @@ class Geometry:
             FormatError: if the model is missing, damaged, asks for other files, or is not the
                 episode's.
         """
-        robot = Robot.from_json(episode.header.env["robot"])
         model = load_dressed(attachments, find)
         if model.nq != episode.qpos.shape[1]:
             raise FormatError(
@@ -158,11 +157,8 @@ class Geometry:
                 f"{model.nq}"
             )
         state = attachments.get(INITIAL_STATE)
-        return cls(
-            model,
-            robot,
-            None if state is None else np.frombuffer(state[: len(state) // 8 * 8], dtype="<f8"),
-        )
+        start = None if state is None else np.frombuffer(state[: len(state) // 8 * 8], dtype="<f8")
+        return cls(model, Robot.from_json(episode.header.env["robot"]), start)
 
     def of_place(self, place: str) -> list[Geom]:
         """Geoms of the robot, the world, … that are to be seen, in model order."""
@@ -232,9 +228,7 @@ class Geometry:
             if index in model.tuple_objid[first : first + int(model.tuple_size[own])]:
                 place = "robot"
         red, green, blue, alpha = colour_of(model, index)
-        if model.geom_group[index] >= SHOWN_GROUPS:
-            alpha = 0.0
-        colour = (red, green, blue, alpha)
+        colour = (red, green, blue, alpha * (model.geom_group[index] < SHOWN_GROUPS))
         return Geom(index, geom_label(model, index), kind, size, colour, place, mesh)
 
 
