@@ -18,10 +18,11 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from coordlog.record.reader import read_attachments
+from coordlog.record.reader import read_attachments, read_header
 
 EPISODES = 4
 UPDATES = 20
@@ -194,7 +195,7 @@ def go(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[str
         f"{json.loads(checked.printed)['steps']:,} steps, all sound" if not checked.code else "no"
     )
     smooth = run("smooth", logs, "--out", work / f"{robot.name}-smooth", "--json")
-    line.append(f"{len(list((work / f'{robot.name}-smooth').glob('*.mcap')))} of {len(kept)}")
+    line.append(statuses(work / f"{robot.name}-smooth", of=len(kept)))
     policy = work / f"{robot.name}-run"
     learning = ("--updates", UPDATES, "--eval-every", 0, "--out", policy)
     trained = run("train", "--from", logs, "--scene", card, *learning)
@@ -224,6 +225,15 @@ def learn(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[
     spent = f"{sum(each.seconds for each in ran):.0f} s"
     rates = [f"{each['clean']:.1%}" for each in (made, held)]
     return [robot.name, str(LOGS), rates[0], str(HELD_OUT), rates[1], spent]
+
+
+def statuses(smoothed: Path, *, of: int) -> str:
+    """How many logs were smoothed, and how many of a status that is less."""
+    every = [read_header(log).lineage["parameters"]["status"] for log in smoothed.glob("*.mcap")]
+    less = Counter(status for status in every if status != "smoothed")
+    return ", ".join(
+        [f"{every.count('smoothed')} of {of}", *(f"{n} {what}" for what, n in less.items())]
+    )
 
 
 def model_bytes(log: Path) -> int:
