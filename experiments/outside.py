@@ -41,6 +41,8 @@ HEAD = (
 
 
 LOGS, HELD_OUT, NOISE = 256, 200, 0.5
+JUDGED = 0.03
+"""From how far a goal counts when a policy is judged [m]."""
 LEARNT = (
     "robot",
     "expert logs",
@@ -63,6 +65,9 @@ class Outside(NamedTuple):
     edits: tuple[tuple[str, str], ...] = ()
     """Lines of the card by what they begin with, and what was written in their place; with an
     empty beginning, lines added at its end."""
+    near: float = JUDGED
+    """From how far a goal counts in the logs that are learnt from [m]: smaller than where it is
+    judged, they show more of the last centimetres."""
 
 
 DATA = "cmeel.prefix/share/example-robot-data/robots"
@@ -78,7 +83,12 @@ ROBOTS = (
     Outside("iiwa14", MJCTRL, "kuka_iiwa_14/iiwa14.xml"),
     Outside("xarm7", MINK, "examples/ufactory_xarm7/xarm7.xml"),
     Outside("aloha", MINK, "examples/aloha/aloha.xml"),
-    Outside("openarm", "openarm-mujoco==2.3.0", "openarm_mujoco-2.3.0/v2/openarm_bimanual.xml"),
+    Outside(
+        "openarm",
+        "openarm-mujoco==2.3.0",
+        "openarm_mujoco-2.3.0/v2/openarm_bimanual.xml",
+        near=0.015,
+    ),
     Outside("yam", "mjlab==1.6.0", "mjlab/asset_zoo/robots/i2rt_yam/xmls/yam.xml"),
     Outside("panda_robosuite", ROBOSUITE, f"{SUITE}/panda/robot.xml"),
     Outside("sawyer", ROBOSUITE, f"{SUITE}/sawyer/robot.xml"),
@@ -89,7 +99,7 @@ ROBOTS = (
     Outside("gr1", ROBOSUITE, f"{SUITE}/gr1/robot.xml"),
     Outside("humanoid_cmu", "dm-control==1.0.50", "dm_control/suite/humanoid_CMU.xml"),
     Outside("h1", MINK, "examples/unitree_h1/h1.xml"),
-    Outside("g1", MINK, "examples/unitree_g1/g1.xml", ("left_palm", "right_palm")),
+    Outside("g1", MINK, "examples/unitree_g1/g1.xml", ("left_palm", "right_palm"), near=0.02),
 )
 
 
@@ -212,11 +222,15 @@ def learn(robot: Outside, files: Path, work: Path, mirror: Path | None) -> list[
     ran = [run("robot", model, *palms, "--name", robot.name, "--out", card, "--force")]
     edit(card, robot.edits)
     scene = ("--scene", card)
+    near, at = (work / f"{robot.name}-{what}-radius.toml" for what in ("log", "test"))
+    for file, radius in ((near, robot.near), (at, JUDGED)):
+        file.write_text(f"[env]\ngoal_radius = {radius}\n", encoding="utf-8")
     for arguments in (
-        ("record", *scene, "--episodes", LOGS, "--noise", NOISE, "--out", logs, "--json"),
+        ("record", *scene, "--config", near, "--episodes", LOGS, "--noise", NOISE,
+         "--out", logs, "--json"),
         ("train", "--from", logs, *scene, "--preset", "quick", "--eval-every", 0, "--out", policy),
-        ("record", *scene, "--policy", policy, "--split", "test", "--episodes", HELD_OUT,
-         "--out", judged, "--json"),
+        ("record", *scene, "--config", at, "--policy", policy, "--split", "test",
+         "--episodes", HELD_OUT, "--out", judged, "--json"),
     ):  # fmt: skip
         ran.append(run(*arguments, seconds=3600.0))
         if ran[-1].code:

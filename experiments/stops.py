@@ -108,7 +108,7 @@ At 25 decisions a second one action changes the value by a percent or two, and i
 gradients, a hundred times harder: a way around something can only be learnt from values, and they were not heard. The preset `live` lets
 a decision last 0.12 s, lets imitation fade to a fortieth of what it was, begins half of the episodes elsewhere and a quarter near goals,
 does not charge an action with what the noise of a later one did, and makes the actor ascend the mean of its critics
-([training](training.md#live-from-nothing)). What each of these is worth on its own has not been measured.
+([training](training.md#live-from-nothing)). [What each is worth on its own](#what-each-part-of-the-recipe-is-worth).
 
 """
 
