@@ -10,6 +10,7 @@ finished is not run again; experiments/tables/ablation-NAME.json holds those tha
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -119,6 +120,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(series(given.name, given.folder, every=given.every, only=only))
     except CoordlogError as error:
         sys.exit(str(error))
+    except subprocess.CalledProcessError as error:
+        sys.exit(f"a run ended with {error.returncode}, and says why above; the others: --only")
 
 
 if __name__ == "__main__":
