@@ -189,6 +189,8 @@ def test_files_beside_logs_go_where_logs_go(logs, tmp_path):
 def test_what_lies_above_is_found_and_not_kept_again(tmp_path):
     one, other, none = (f"{letter * 64}.msh.zst" for letter in "abc")
     keep(tmp_path, {one: b"a"})
+    (tmp_path / "episodes").mkdir()
+    (tmp_path / "episodes" / "assets").write_text("a file of somebody else's")
     (tmp_path / "assets" / "of somebody else's").touch()
     inner = tmp_path / "episodes" / "eval"
     keep(inner, {one: b"a", other: b"b"})

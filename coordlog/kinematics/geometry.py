@@ -15,10 +15,11 @@ import numpy as np
 from coordlog.episode import INITIAL_STATE, Array, Episode
 from coordlog.errors import FormatError
 from coordlog.kinematics.balance import CONTACT_HEIGHT
+from coordlog.kinematics.pairs import own_in_world
 from coordlog.mjcf.dressed import SHOWN_GROUPS, Find, load_dressed
 from coordlog.mjcf.looks import colour_of, mesh_of
 from coordlog.robots.robot import Robot
-from coordlog.tasks.scene import ROBOT_IN_WORLD, goal_body, sole_corner
+from coordlog.tasks.scene import goal_body, sole_corner
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 KINDS = {
@@ -133,6 +134,7 @@ class Geometry:
         bearer = int(model.site_bodyid[self._palms[0]]) if self._palms else min(1, model.nbody - 1)
         self._base = int(model.body_rootid[bearer])
         self._goals = {goal_body(arm.name) for arm in robot.arms}
+        self._own = set(own_in_world(model).tolist())
         self.geoms = [self._geom(i) for i in range(model.ngeom)]
         boxed = [geom.index for geom in self.geoms if int(model.geom_type[geom.index]) not in DRAWN]
         self._middle = np.zeros((model.ngeom, 3))
@@ -222,11 +224,8 @@ class Geometry:
         elif model.body_mocapid[body] >= 0:
             name = model.body(body).name
             place = "goal" if name in self._goals else "object" if name == "object" else "obstacle"
-        own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
-        if own >= 0:
-            first = int(model.tuple_adr[own])
-            if index in model.tuple_objid[first : first + int(model.tuple_size[own])]:
-                place = "robot"
+        if index in self._own:
+            place = "robot"
         red, green, blue, alpha = colour_of(model, index)
         colour = (red, green, blue, alpha * (model.geom_group[index] < SHOWN_GROUPS))
         return Geom(index, geom_label(model, index), kind, size, colour, place, mesh)

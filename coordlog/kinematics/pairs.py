@@ -137,10 +137,16 @@ def obstacles(model: mujoco.MjModel) -> Array:
     """
     bodies = model.geom_bodyid
     still = (bodies == 0) | (model.body_mocapid[bodies] >= 0)
-    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
-    if own >= 0:
-        first = int(model.tuple_adr[own])
-        still[model.tuple_objid[first : first + int(model.tuple_size[own])]] = False
+    still[own_in_world(model)] = False
     return np.flatnonzero(
         still & (model.geom_contype > 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
     )
+
+
+def own_in_world(model: mujoco.MjModel) -> Array:
+    """Ids of the geoms of the world that are the robot's own."""
+    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, ROBOT_IN_WORLD)
+    if own < 0:
+        return np.zeros(0, dtype=int)
+    first = int(model.tuple_adr[own])
+    return np.asarray(model.tuple_objid[first : first + int(model.tuple_size[own])])

@@ -11,7 +11,6 @@ import json
 import struct
 from collections.abc import Container, Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -20,13 +19,11 @@ import zstandard
 
 from coordlog.episode import VISUALS, Array
 from coordlog.errors import ConfigError
-from coordlog.mjcf.attached import (
-    FRAME,
-    LEVEL,
-)
+from coordlog.mjcf.attached import FRAME, LEVEL
 from coordlog.mjcf.source import (
     MESH,
     RobotKey,
+    compile_alone,
     content_of,
     delete,
     drop_pictures,
@@ -112,13 +109,10 @@ def _unreadable(robot: Robot) -> set[str]:
     for mesh in spec.meshes:
         if mesh.name not in own or not mesh.file:
             continue
-        alone, name = mujoco.MjSpec(), Path(mesh.file).name
-        alone.assets = {name: content_of(robot, mesh.file, spec.meshdir) or b""}
-        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        alone.add_mesh(name="mesh", file=name, scale=mesh.scale, inertia=shell)
-        alone.worldbody.add_geom(type=MESH, meshname="mesh", contype=0, conaffinity=0)
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        data = content_of(robot, mesh.file, spec.meshdir) or b""
         try:
-            alone.compile()
+            compile_alone(mesh, data, solid=False)
         except ValueError:
             bad.add(mesh.name)
     return bad

@@ -307,12 +307,8 @@ def _refuse_meshes(spec: mujoco.MjSpec, robot: Robot, files: Mapping[str, bytes]
     for mesh in spec.meshes:
         if mesh.file not in files:
             continue
-        alone = mujoco.MjSpec()
-        alone.assets = {mesh.file: files[mesh.file]}
-        alone.add_mesh(name="mesh", file=mesh.file, scale=mesh.scale, inertia=mesh.inertia)
-        alone.worldbody.add_geom(type=MESH, meshname="mesh")
         try:
-            alone.compile()
+            compile_alone(mesh, files[mesh.file], solid=True)
         except ValueError as error:
             head = files[mesh.file][:HEAD]
             said = recognise(head, texts=False) or str(error).strip().splitlines()[0]
@@ -324,6 +320,24 @@ def _refuse_meshes(spec: mujoco.MjSpec, robot: Robot, files: Mapping[str, bytes]
             faults.append(f"mesh '{mesh.name}': {said}")
     if faults:
         raise _unreadable(robot, faults)
+
+
+def compile_alone(mesh: Any, data: bytes, *, solid: bool) -> None:
+    """Compile one mesh that is read from a file by itself.
+
+    Args:
+        mesh: Of a spec.
+        data: Of its file.
+        solid: Whether things collide with it, for which it needs a hull.
+
+    Raises:
+        ValueError: if MuJoCo refuses it.
+    """
+    spec, name, bits = mujoco.MjSpec(), Path(mesh.file).name, int(solid)
+    spec.assets = {name: data}
+    spec.add_mesh(name="mesh", file=name, scale=mesh.scale, inertia=mesh.inertia)
+    spec.worldbody.add_geom(type=MESH, meshname="mesh", contype=bits, conaffinity=bits)
+    spec.compile()
 
 
 def _otherwise(robot: Robot, name: str, folder: str) -> str:

@@ -9,12 +9,13 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import cached_property
 from pathlib import PurePath
 
 from coordlog.errors import StorageError
 from coordlog.record.addresses import place_at
 from coordlog.record.packs import is_shard
-from coordlog.record.places import MissingError, is_url, split_url
+from coordlog.record.places import is_url, split_url
 
 FOLDER = "assets"
 ABOVE = 4
@@ -43,26 +44,27 @@ class Beside:
 
     def __call__(self, name: str) -> bytes | None:
         """The bytes of one of them; None if there is none."""
-        place = self._place(name)
+        place = self._found.get(name)
         return None if place is None else place_at(place).read(f"{FOLDER}/{name}")
 
     def __contains__(self, name: str) -> bool:
-        return self._place(name) is not None
-
-    def _place(self, name: str) -> str | None:
-        for place in self._places:
-            with suppress(MissingError):
-                if place_at(place).entry(f"{FOLDER}/{name}") is not None:
-                    return place
-        return None
+        return name in self._found
 
     def names(self) -> list[str]:
         """The files there are."""
-        found: set[str] = set()
+        return sorted(self._found)
+
+    @cached_property
+    def _found(self) -> dict[str, str]:
+        """In which place each file is, looked for once, the nearest first."""
+        found: dict[str, str] = {}
         for place in self._places:
-            with suppress(MissingError):
-                found |= {PurePath(each.name).name for each in place_at(place).entries(FOLDER)}
-        return sorted(filter(NAME.fullmatch, found))
+            with suppress(StorageError):  # what cannot be listed is somebody else's, or not there
+                for each in place_at(place).entries(FOLDER):
+                    name = PurePath(each.name).name
+                    if NAME.fullmatch(name):
+                        found.setdefault(name, place)
+        return found
 
 
 def keep(where: File, files: Mapping[str, bytes]) -> None:
@@ -76,22 +78,22 @@ def keep(where: File, files: Mapping[str, bytes]) -> None:
     Raises:
         StorageError: if it refuses.
     """
-    beside = Beside(PurePath(where) / "log")
-    there = set(beside.names() if files else ())
+    log = PurePath(where) / "log"
+    there = Beside(log)
     for name, data in files.items():
         if name in there:
             continue
         try:
             place_at(_address(PurePath(where))).create(f"{FOLDER}/{name}", data)
         except StorageError:
-            if name not in beside:  # nobody else has put it there meanwhile
+            if name not in Beside(log):  # nobody else has put it there meanwhile
                 raise
 
 
 def copy_beside(log: File, where: File, names: Iterable[str]) -> None:
     """Put files that lie beside a log beside others, as far as they are there; errors as `keep`."""
     source, there = Beside(log), Beside(PurePath(where) / "log")
-    wanted = sorted(set(names) - set(there.names()))
+    wanted = [name for name in names if name not in there]
     keep(where, {name: data for name in wanted if (data := source(name)) is not None})
 
 
