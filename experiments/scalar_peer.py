@@ -39,6 +39,8 @@ from experiments.actors import RUN, Foreign
 
 NAME = "TD3 + HER of stable-baselines3"
 EVALUATION_ENVS = 32
+STEPS = 60_000
+"""Live steps where neither the preset nor a person says how many."""
 
 
 class SumOfArms(GymEnv):
@@ -211,16 +213,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("scene")
     parser.add_argument("out", type=Path, help="a run folder that is not there yet")
     parser.add_argument("--preset", default="default", choices=list(PRESETS))
-    parser.add_argument("--steps", type=int, help="by default those of the preset")
+    parser.add_argument("--steps", type=int, help=f"by default the preset's, or {STEPS:,}")
     for name, usual in (("seed", 0), ("every", 5_000), ("episodes", 100)):
         parser.add_argument(f"--{name}", type=int, default=usual)
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    said = [f"loop.seed={given.seed}"]
-    if given.steps is not None:
-        said += ["loop.updates=0", f"loop.steps={given.steps}"]
+    steps = given.steps or PRESETS[given.preset].loop.steps or STEPS
+    said = (f"loop.seed={given.seed}", "loop.updates=0", f"loop.steps={steps}")
     settings = load_settings(preset=given.preset, assignments=said)
-    budget = {"steps": settings.loop.steps, "every": given.every, "episodes": given.episodes}
+    budget = {"steps": steps, "every": given.every, "episodes": given.episodes}
     learn(given.scene, settings, given.out, envs=32, preset=given.preset, **budget)
 
 
